@@ -1,0 +1,40 @@
+# The only commands one has to know: make run, test, lint, bench, screenshots.
+PYTHON ?= python3
+BIN := .venv/bin
+
+.PHONY: help setup run test lint bench screenshots clean
+.DEFAULT_GOAL := help
+
+help:  ## this list
+	@sed -nE 's/^([a-z]+):.*##(.*)/  make \1\t\2/p' $(MAKEFILE_LIST)
+
+# The stamp stands for an environment that matches these two files.
+.venv/.ready: pyproject.toml constraints.txt
+	@$(PYTHON) -c 'import sys; sys.exit("malipp-field needs Python 3.11 or newer; this is " + sys.version.split()[0] + ". Say which with: make PYTHON=python3.11") if sys.version_info < (3, 11) else None'
+	@test -x $(BIN)/python || $(PYTHON) -m venv .venv
+	@echo "Installing pinned dependencies into .venv (about a minute the first time) ..."
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[dev]'
+	@touch $@
+
+setup: .venv/.ready  ## a .venv with pinned dependencies
+
+run: setup  ## plan, export, fly a simulated team, record and review missions/quarry.yaml
+	@$(BIN)/malipp run missions/quarry.yaml --output runs/quarry
+
+lint: setup  ## ruff, mypy strict, import contracts
+	@$(BIN)/ruff check .
+	@$(BIN)/ruff format --check .
+	@$(BIN)/mypy
+	@$(BIN)/lint-imports
+
+test: lint  ## lint, then all tests
+	@$(BIN)/pytest
+
+bench: setup  ## measure planning; the results page is benchmarks/README.md
+	@$(BIN)/python benchmarks/planning.py
+
+screenshots: setup  ## the README's picture from a fresh run (needs xvfb and a software Vulkan)
+	@PATH="$(CURDIR)/$(BIN):$$PATH" docs/screenshots.sh
+
+clean:  ## remove what was built
+	rm -rf .venv runs build *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

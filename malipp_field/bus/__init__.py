@@ -1,0 +1,45 @@
+"""What is said between processes, and the Zenoh session that carries it."""
+
+from malipp_field.bus.messages import (
+    AnyMessage,
+    Command,
+    Confirmation,
+    CustodyEvent,
+    Event,
+    Hold,
+    Ledger,
+    Load,
+    Message,
+    MissionText,
+    PlanAdopted,
+    Release,
+    Reply,
+    SampleRecord,
+    Start,
+    Telemetry,
+    root,
+    vehicle_key,
+)
+from malipp_field.bus.session import Bus
+
+__all__ = [
+    "AnyMessage",
+    "Bus",
+    "Command",
+    "Confirmation",
+    "CustodyEvent",
+    "Event",
+    "Hold",
+    "Ledger",
+    "Load",
+    "Message",
+    "MissionText",
+    "PlanAdopted",
+    "Release",
+    "Reply",
+    "SampleRecord",
+    "Start",
+    "Telemetry",
+    "root",
+    "vehicle_key",
+]

@@ -1,0 +1,1 @@
+"""The `malipp` command line."""

@@ -1,0 +1,300 @@
+"""The `malipp` command: plan, verify, export, sim, run, review.
+
+A fault the user can mend is one line on stderr and exit status 2. `plan` and `run` exit with 3 when the
+mission is proven infeasible and with 4 when a limit came before the first plan.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import os
+import sys
+from collections.abc import Callable
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import click
+import typer
+
+from malipp_field import __version__
+from malipp_field.errors import InputError, MalippError, PlanError
+from malipp_field.mission import Mission, read_mission
+from malipp_field.plan import Plan, read_plan, write_plan
+
+INPUT_ERROR, INFEASIBLE, LIMIT_REACHED, INCOMPLETE = 2, 3, 4, 5
+
+app = typer.Typer(
+    add_completion=False,
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+    help="Plan, export, fly and review missions of sampling rovers that hand over samples at dead drops.",
+    epilog="Begin with: malipp run missions/quarry.yaml --output runs/quarry",
+)
+
+
+class Method(StrEnum):
+    """How to plan."""
+
+    AUTO = "auto"
+    EXACT = "exact"
+    NO_HANDOFFS = "no-handoffs"
+    SEQ = "seq"
+
+
+class Format(StrEnum):
+    """Mission file formats of ground stations."""
+
+    PLAN = "plan"
+    WPL = "wpl"
+
+
+MissionFile = Annotated[
+    Path, typer.Argument(metavar="MISSION", help="Mission file (malipp-mission/1, YAML).")
+]
+PlanFile = Annotated[Path, typer.Argument(metavar="PLAN", help="Plan file (malipp-plan/1, JSON).")]
+Seconds = Annotated[
+    float | None, typer.Option("--time-limit", min=0.001, metavar="S", help="Seconds to plan.")
+]
+Speed = Annotated[
+    float | None,
+    typer.Option("--speed", min=0.1, max=200.0, metavar="X", help="Simulated seconds for each second."),
+]
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"malipp {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version.")
+    ] = False,
+) -> None:
+    pass
+
+
+@app.command()
+def plan(
+    mission_file: MissionFile,
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="PLAN", help="Where to write the plan.")],
+    method: Annotated[
+        Method | None, typer.Option(help="How to plan; the mission file's where not given.")
+    ] = None,
+    handoffs: Annotated[
+        bool | None, typer.Option("--handoffs/--no-handoffs", help="Allow dead drops.")
+    ] = None,
+    time_limit: Seconds = None,
+    gap: Annotated[float | None, typer.Option(min=0.0, help="Relative gap that counts as optimal.")] = None,
+    seed: Annotated[int | None, typer.Option(min=0, help="Seed of the solver.")] = None,
+    threads: Annotated[int | None, typer.Option(min=1, help="Threads; all cores where not given.")] = None,
+) -> None:
+    """Plan a mission and write a verified plan.
+
+    Exit status: 0 with a plan, 3 when there is provably none, 4 when the limit came first.
+    """
+    mission = read_mission(mission_file)
+    _writable(output)
+    found = _solve(mission, method, handoffs, time_limit, gap, seed, threads)
+    write_plan(found, output)
+    _show_plan(mission, found)
+    _stop_without_routes(found)
+    typer.echo(f"plan: {output}")
+
+
+@app.command()
+def verify(mission_file: MissionFile, plan_file: PlanFile) -> None:
+    """Check a plan against every rule of the paper; each broken one is a line on stderr."""
+    from malipp_field.planner import verify as find_violations
+
+    mission = read_mission(mission_file)
+    found = find_violations(mission, read_plan(plan_file))
+    for violation in found:
+        typer.echo(f"{plan_file}: {violation}", err=True)
+    if found:
+        raise typer.Exit(INPUT_ERROR)
+    typer.echo(f"{plan_file}: every rule is kept")
+
+
+@app.command()
+def export(
+    mission_file: MissionFile,
+    plan_file: PlanFile,
+    file_format: Annotated[Format, typer.Option("--format", help="plan: QGroundControl; wpl: QGC WPL 110.")],
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="Folder to write to.")],
+) -> None:
+    """Write one vehicle mission file a robot, and a map file that ties its items to stops and samples."""
+    mission, found = _verified(mission_file, plan_file)
+    for path in _export(mission, found, file_format, output):
+        typer.echo(path)
+
+
+@app.command()
+def sim(
+    mission_file: MissionFile,
+    port: Annotated[int, typer.Option(min=1024, max=65000, help="UDP port of the first rover.")] = 14551,
+    speed: Annotated[
+        float, typer.Option(min=0.1, max=200.0, metavar="X", help="Simulated seconds for each second.")
+    ] = 1.0,
+) -> None:
+    """Start the mission's rovers as simulated MAVLink vehicles on this machine, until interrupted."""
+    asyncio.run(_simulate(read_mission(mission_file), port, speed))
+
+
+@app.command()
+def run(
+    mission_file: MissionFile,
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="Folder for all results.")],
+    plan_file: Annotated[
+        Path | None, typer.Option("--plan", metavar="PLAN", help="Fly this plan instead of planning.")
+    ] = None,
+    time_limit: Seconds = None,
+    speed: Speed = None,
+) -> None:
+    """Plan, export, fly with simulated rovers, record and review, all in one."""
+    from malipp_field.cli.whole_run import whole_run
+
+    mission = read_mission(mission_file)
+    if plan_file is None:
+        _writable(output / "plan.json")
+        found = _solve(mission, None, None, time_limit, None, None, None)
+    else:
+        mission, found = _verified(mission_file, plan_file)
+        _writable(output / "plan.json")
+    write_plan(found, output / "plan.json")
+    _show_plan(mission, found)
+    _stop_without_routes(found)
+    if not whole_run(mission, mission_file, found, output, speed):
+        raise typer.Exit(INCOMPLETE)
+
+
+@app.command()
+def review(
+    recording: Annotated[Path, typer.Argument(metavar="RUN.mcap", help="A recording of a mission.")],
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output", "-o", metavar="RRD", help="The Rerun recording; beside RUN.mcap if not given."
+        ),
+    ] = None,
+    open_viewer: Annotated[bool, typer.Option("--open", help="Open it in the Rerun viewer.")] = False,
+) -> None:
+    """Make a Rerun recording and a summary from a mission recording alone."""
+    from malipp_field.cli.whole_run import review_recording
+
+    target = output or recording.with_suffix(".rrd")
+    _writable(target)
+    review_recording(recording, target)
+    typer.echo(f"review: {target}")
+    if open_viewer:
+        os.execv(sys.executable, [sys.executable, "-m", "rerun", str(target)])
+
+
+def _solve(
+    mission: Mission,
+    method: Method | None,
+    handoffs: bool | None,
+    time_limit_s: float | None,
+    gap: float | None,
+    seed: int | None,
+    threads: int | None,
+) -> Plan:
+    from malipp_field.cli.display import ProgressLine
+    from malipp_field.planner import solve
+
+    with ProgressLine("planning") as line:
+        return solve(
+            mission,
+            method=None if method is None else method.value,
+            handoffs=handoffs,
+            time_limit_s=time_limit_s,
+            mip_gap=gap,
+            seed=seed,
+            threads=threads,
+            on_progress=line.planning,
+        )
+
+
+def _show_plan(mission: Mission, found: Plan) -> None:
+    from malipp_field.cli.display import out, plan_table, plan_words
+    from malipp_field.field import information_model
+
+    if found.robots:
+        out.print(plan_table(mission, found))
+    out.print(plan_words(found, information_model(mission).prior))
+
+
+def _stop_without_routes(found: Plan) -> None:
+    if found.status == "infeasible":
+        raise typer.Exit(INFEASIBLE)
+    if found.status == "no_plan":
+        raise typer.Exit(LIMIT_REACHED)
+
+
+def _verified(mission_file: Path, plan_file: Path) -> tuple[Mission, Plan]:
+    """Read a mission and a plan of it, and let no plan pass that breaks a rule."""
+    from malipp_field.planner import check
+
+    mission, found = read_mission(mission_file), read_plan(plan_file)
+    try:
+        check(mission, found)
+    except PlanError as fault:
+        raise InputError(str(plan_file), None, "", str(fault)) from None
+    return mission, found
+
+
+def _export(mission: Mission, found: Plan, file_format: Format, output: Path) -> list[Path]:
+    from malipp_field.vehicle.export import export as write_exports
+
+    return write_exports(mission, found, file_format.value, output)
+
+
+def _writable(path: Path) -> None:
+    """Find out before the work, not after it, that its result cannot be written."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as fault:
+        raise InputError(str(path.parent), None, "", f"cannot be made: {fault.strerror}") from None
+    if path.is_dir() or not os.access(path if path.exists() else path.parent, os.W_OK):
+        raise InputError(str(path), None, "", "cannot be written")
+
+
+async def _simulate(mission: Mission, port: int, speed: float) -> None:
+    from malipp_field.clock import SimClock, WallClock
+    from malipp_field.sim import Fleet
+
+    clock = SimClock(WallClock().now_s(), speed)
+    async with Fleet(mission, clock, first_port=port) as fleet:
+        for system_id, (robot, (host, robot_port)) in enumerate(fleet.endpoints.items(), start=1):
+            typer.echo(f"{robot}: system {system_id}, connect with udpout:{host}:{robot_port}")
+        typer.echo("Interrupt (Ctrl-C) to stop.")
+        await clock.run()
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run the command line and exit with its status."""
+    logging.basicConfig(level=logging.WARNING, format="%(levelname)s %(name)s: %(message)s")
+    sys.exit(_status(lambda: app(arguments, standalone_mode=False)))
+
+
+def _status(command: Callable[[], object]) -> int:
+    try:
+        result = command()
+    except click.ClickException as fault:
+        context = getattr(fault, "ctx", None)
+        where = context.command_path if context is not None else "malipp"
+        message = " ".join(fault.format_message().split())
+        typer.echo(f"{where}: {message} (see {where} --help)", err=True)
+        return INPUT_ERROR
+    except MalippError as fault:
+        typer.echo(str(fault), err=True)
+        return INPUT_ERROR
+    except (KeyboardInterrupt, click.Abort):
+        typer.echo("interrupted", err=True)
+        return 130
+    return result if isinstance(result, int) else 0

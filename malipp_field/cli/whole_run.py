@@ -1,0 +1,50 @@
+"""`malipp run` after the plan: export, fly, review, and a closing table with the paths of what was made."""
+
+from __future__ import annotations
+
+import asyncio
+from pathlib import Path
+
+from malipp_field.cli.display import ProgressLine, out
+from malipp_field.errors import InputError
+from malipp_field.mission import Mission
+from malipp_field.plan import Plan
+from malipp_field.review import Summary, review
+from malipp_field.review.tables import print_summary
+from malipp_field.run import fly
+from malipp_field.vehicle.export import ExportFormat, export
+
+_FORMATS: tuple[ExportFormat, ...] = ("plan", "wpl")
+
+
+def whole_run(mission: Mission, mission_file: Path, plan: Plan, output: Path, speed: float | None) -> bool:
+    """Export and fly a verified plan, review the recording; return whether every sample came home."""
+    made = [output / "plan.json"]
+    if mission.site.origin is not None:
+        for file_format in _FORMATS:
+            made += export(mission, plan, file_format, output / "export")
+    recording = output / "run.mcap"
+    text = _text(mission_file)
+    with ProgressLine("flying") as line:
+        outcome = asyncio.run(fly(mission, text, plan, recording, speed=speed, on_tick=line.flying))
+    review_recording(recording, output / "review.rrd")
+    out.print(f"\n{outcome.reason[0].upper()}{outcome.reason[1:]}.")
+    for path in (*dict.fromkeys(made), recording, output / "review.rrd"):
+        out.print(f"  {path}", soft_wrap=True)
+    out.print(f"Look at it with: .venv/bin/rerun {output / 'review.rrd'}", soft_wrap=True)
+    return outcome.complete
+
+
+def review_recording(recording: Path, target: Path) -> Summary:
+    """Write the Rerun recording of a mission and print its summary."""
+    with ProgressLine("reviewing"):
+        summary = review(recording, target)
+    print_summary(summary, out)
+    return summary
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except OSError as fault:
+        raise InputError(str(path), None, "", fault.strerror or str(fault)) from None

@@ -1,0 +1,398 @@
+"""The coordinator: starts the team, keeps custody, opens gates, and replans from the state as it is.
+
+It knows the vehicles only through the bus. Every plan it puts in force has passed the verifier, and every
+vehicle concerned has read its part back before any of them moves on.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+from malipp_field.bus import (
+    Bus,
+    Confirmation,
+    Event,
+    Load,
+    Message,
+    MissionText,
+    PlanAdopted,
+    Release,
+    Start,
+    Telemetry,
+    root,
+    vehicle_key,
+)
+from malipp_field.clock import Clock
+from malipp_field.control.ledger import CustodyLedger
+from malipp_field.control.lookahead import LookAhead, Outlook, Roads
+from malipp_field.control.orders import Orders
+from malipp_field.control.remainder import remainder
+from malipp_field.control.revision import Revision, revise
+from malipp_field.control.schedule import Deviation, Expected, deviation, expectations
+from malipp_field.control.tracks import Track
+from malipp_field.mission import Mission, TeamState, initial_state
+from malipp_field.plan import Plan
+from malipp_field.vehicle.compile import compile_plan
+from malipp_field.vehicle.steps import Action, VehicleMission
+
+_TICK_S = 0.5
+_AGREEMENT_S = 5.0  # from a plan to all vehicles verified, on top of the planner's time limit
+_PAUSE_S = 60.0  # between replans, so that noise does not cause churn
+_STALL_S = 900.0  # without any progress of any vehicle the mission has come to an end
+_PRESENCE_TIMEOUT_S = 60.0
+
+Severity = Literal["info", "warning", "error"]
+
+
+class Planner(Protocol):
+    """Plans the rest of a mission; `malipp_field.planner.solve` with the mission's options is one."""
+
+    def __call__(self, mission: Mission, *, state: TeamState, warm_start: Plan, version: int) -> Plan:
+        """Return a verified plan, or one without routes and the reason."""
+        ...
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a mission ended. Times are on the team's clock, in seconds since the Unix epoch."""
+
+    complete: bool
+    reason: str
+    start_s: float
+    end_s: float
+    versions: int
+
+
+class Coordinator:
+    """Carries one mission from its first plan to its end.
+
+    Parameters
+    ----------
+    mission, mission_text
+        The mission, and the file it was read from (it goes into the recording).
+    plan
+        Version 1, verified.
+    planner
+        Called in a thread of its own to plan the rest of a mission.
+    witnesses
+        Presence keys, besides the agents', that must be there before the start (``recorder``).
+    on_tick
+        Called now and then with the coordinator, for a progress display.
+    """
+
+    def __init__(
+        self,
+        mission: Mission,
+        mission_text: str,
+        plan: Plan,
+        bus: Bus,
+        clock: Clock,
+        planner: Planner,
+        witnesses: tuple[str, ...] = (),
+        on_tick: Callable[[Coordinator], None] | None = None,
+    ) -> None:
+        self.mission, self.plan = mission, plan
+        self._mission_text = mission_text
+        self._bus, self._clock, self._planner = bus, clock, planner
+        self._witnesses, self._on_tick = witnesses, on_tick
+        self._orders = Orders(mission.name, bus, clock)
+        self._roads = Roads(mission)
+        self._lookahead = LookAhead(mission, self._roads, mission.replanning.time_limit_s + _AGREEMENT_S)
+        self.ledger = CustodyLedger()
+        compiled = compile_plan(mission, plan)
+        self.tracks = {
+            robot: Track(mission, robot, vehicle_mission)
+            for robot, vehicle_mission in compiled.missions.items()
+        }
+        self._samples = compiled.samples
+        self._expected: dict[str, Expected] = expectations(
+            plan, compiled.missions, self._budgets(initial_state(mission)), mission
+        )
+        self._start_s = clock.now_s()
+        self._quiet_until_s = 0.0
+        self._progress_s = 0.0
+        self._present: set[str] = set()
+
+    @property
+    def mission_time_s(self) -> float:
+        """Seconds since the mission began."""
+        return self._clock.now_s() - self._start_s
+
+    async def run(self) -> Outcome:
+        """Fly the mission; returns when every vehicle is done, or nothing moves any more."""
+        await self._listen()
+        missing = await self._await_presence()
+        if missing:
+            return self._ended(False, f"not there within {_PRESENCE_TIMEOUT_S:.0f} s: {', '.join(missing)}")
+        self._publish("mission", MissionText(time_s=self._clock.now_s(), text=self._mission_text))
+        refusal = await self._launch()
+        if refusal:
+            return self._ended(False, refusal)
+        while (outcome := self._over()) is None:
+            await self._clock.sleep(_TICK_S)
+            await self._open_gates()
+            trigger = self._trigger()
+            if trigger is not None:
+                await self._replan(trigger)
+            if self._on_tick is not None:
+                self._on_tick(self)
+        return outcome
+
+    # Listening ------------------------------------------------------------------------------------------
+
+    async def _listen(self) -> None:
+        for robot in self.tracks:
+            await self._bus.subscribe(
+                vehicle_key(self.mission.name, robot, "telemetry"), Telemetry, self._on_telemetry
+            )
+            await self._bus.subscribe(
+                vehicle_key(self.mission.name, robot, "confirmation"), Confirmation, self._on_confirmation
+            )
+        await self._bus.watch_presence(f"{root(self.mission.name)}/alive/*", self._on_presence)
+
+    def _on_presence(self, key: str, there: bool) -> None:
+        name = key.rsplit("/", 1)[-1]
+        (self._present.add if there else self._present.discard)(name)
+
+    def _on_telemetry(self, _key: str, telemetry: Telemetry) -> None:
+        track = self.tracks[telemetry.robot]
+        before = track.changed_s
+        track.update(telemetry)
+        if track.changed_s != before:
+            self._progress_s = self._clock.now_s()
+
+    def _on_confirmation(self, _key: str, confirmation: Confirmation) -> None:
+        self._progress_s = self._clock.now_s()
+        what = f"{confirmation.action} of container {confirmation.tag} at {confirmation.node}"
+        if not confirmation.ok:
+            self._say("error", f"{what} failed: {confirmation.text}", confirmation.robot)
+            return
+        refusal = self.ledger.confirm(confirmation)
+        if refusal is not None:
+            self._say("error", f"custody does not add up: {refusal}", confirmation.robot)
+            return
+        self._publish("ledger", self.ledger.message(self._clock.now_s()))
+
+    async def _await_presence(self) -> list[str]:
+        """Wait for all agents and witnesses; return who did not come."""
+        needed = {*self.tracks, *self._witnesses}
+        deadline_s = self._clock.now_s() + _PRESENCE_TIMEOUT_S
+        while self._clock.now_s() < deadline_s:
+            if needed <= self._present and all(track.telemetry for track in self.tracks.values()):
+                return []
+            await self._clock.sleep(_TICK_S)
+        silent = {robot for robot, track in self.tracks.items() if track.telemetry is None}
+        return sorted((needed - self._present) | silent)
+
+    # Starting -------------------------------------------------------------------------------------------
+
+    async def _launch(self) -> str | None:
+        """Load and start every vehicle that has something to do; return why not, on failure."""
+        busy = {robot: track.mission for robot, track in self.tracks.items() if track.mission.steps}
+        with self._clock.real_time():
+            refusals = await self._orders.give_all({r: Load(mission=m) for r, m in busy.items()})
+            if refusals:
+                return _in_words("not started, a vehicle does not hold its mission", refusals)
+            self._start_s = self._progress_s = self._clock.now_s()
+            self.ledger.expect(self._samples.values())
+            self._announce("first plan", {r: t.mission for r, t in self.tracks.items()})
+            refusals = await self._orders.give_all({robot: Start() for robot in busy})
+        if refusals:
+            for robot, text in refusals.items():
+                self._say("error", f"does not start: {text}", robot)
+        self._quiet_until_s = self._clock.now_s() + _PAUSE_S / 2
+        return _in_words("no vehicle starts", refusals) if busy and len(refusals) == len(busy) else None
+
+    def _announce(self, reason: str, missions: dict[str, VehicleMission]) -> None:
+        self._publish(
+            "plan",
+            PlanAdopted(
+                time_s=self._clock.now_s(),
+                start_s=self._start_s,
+                plan=self.plan,
+                missions=tuple(missions.values()),
+                samples=tuple(record.sample for record in self.ledger.records.values()),
+                reason=reason,
+            ),
+        )
+        self._publish("ledger", self.ledger.message(self._clock.now_s()))
+
+    # Gates ----------------------------------------------------------------------------------------------
+
+    async def _open_gates(self) -> None:
+        for robot, track in self.tracks.items():
+            step = track.step
+            if step is not None and step.action is Action.WAIT and self._may_pass(robot, step.tags):
+                reply = await self._orders.give(robot, Release(uid=step.uid))
+                if not reply.ok:
+                    self._say("warning", f"gate at {step.node} does not open: {reply.text}", robot)
+
+    def _may_pass(self, robot: str, tags: tuple[int, ...]) -> bool:
+        """Whether all containers lie ready, their senders have gone, and the clearance is over."""
+        on_board = self.ledger.on_board(robot)
+        for tag in tags:
+            if tag in on_board:
+                continue
+            drop = self.ledger.dropped_at(tag)
+            if drop is None:
+                return False
+            sender = self.tracks[drop.robot]
+            busy_there = (
+                sender.step is not None
+                and sender.step.node == drop.node
+                and sender.step.action not in (Action.DRIVE, Action.WAIT)
+            )
+            gone_s = max(drop.time_s, sender.changed_s if sender.last_node == drop.node else drop.time_s)
+            if busy_there or self._clock.now_s() < gone_s + self.mission.team.clearance_s:
+                return False
+        return True
+
+    # Replanning -----------------------------------------------------------------------------------------
+
+    def _trigger(self) -> str | None:
+        """Return why the plan in force should be looked at again, or `None`."""
+        if self._clock.now_s() < self._quiet_until_s:
+            return None
+        for robot in self.tracks:
+            found = self._deviation(robot)
+            if found is None:
+                continue
+            budget_j = self.mission.robot(robot).energy_budget_j
+            if found.overdraw_j > self.mission.replanning.energy_overdraw * budget_j:
+                share = 100.0 * found.overdraw_j / budget_j
+                return f"{robot} will have used {share:.0f} % of its budget more than planned at {found.node}"
+            if found.late_s > self.mission.replanning.slip_s:
+                return f"{robot} will be {found.late_s:.0f} s late at {found.node}"
+        return None
+
+    def _deviation(self, robot: str) -> Deviation | None:
+        track = self.tracks[robot]
+        if track.telemetry is None or track.finished:
+            return None
+        load = len(self.ledger.on_board(robot))
+        now = track.whereabouts(self._roads, load)
+        return deviation(robot, self.mission_time_s, now, load, self._expected, self._roads)
+
+    async def _replan(self, trigger: str) -> None:
+        self._say("info", f"replanning: {trigger}")
+        with self._clock.real_time():
+            outlook = self._outlook()
+            plan = await self._plan_rest(outlook)
+            if not plan.robots:
+                self._say("warning", f"no new plan, going on as planned: {plan.reason or plan.status}")
+            else:
+                in_force = {robot: track.mission for robot, track in self.tracks.items()}
+                revision = revise(self.mission, plan, outlook, self.ledger, in_force)
+                await self._put_in_force(revision, trigger)
+        self._quiet_until_s = self._clock.now_s() + _PAUSE_S
+
+    def _outlook(self) -> Outlook:
+        whereabouts = {
+            robot: track.whereabouts(self._roads, len(self.ledger.on_board(robot)))
+            for robot, track in self.tracks.items()
+        }
+        return self._lookahead.outlook(self.mission_time_s, whereabouts, self.ledger)
+
+    async def _plan_rest(self, outlook: Outlook) -> Plan:
+        """Plan with the mission's energy reserve; where that is too much to ask by now, without it."""
+        plan = await self._solve(self.mission, outlook)
+        if plan.status == "infeasible" and self.mission.planner.energy_reserve > 0.0:
+            self._say("warning", f"the energy reserve cannot be kept: {plan.reason}")
+            options = self.mission.planner.model_copy(update={"energy_reserve": 0.0})
+            plan = await self._solve(self.mission.model_copy(update={"planner": options}), outlook)
+        return plan
+
+    async def _solve(self, mission: Mission, outlook: Outlook) -> Plan:
+        warm_start = remainder(self.plan, self.tracks, outlook)
+        return await asyncio.to_thread(
+            self._planner, mission, state=outlook.state, warm_start=warm_start, version=self.plan.version + 1
+        )
+
+    async def _put_in_force(self, revision: Revision, reason: str) -> None:
+        """Bring a revision to all vehicles it concerns, or to none."""
+        if await self._load(revision):
+            self._adopt(revision, reason)
+            names = ", ".join(revision.missions) or "no vehicle"
+            self._say("info", f"plan {revision.plan.version} is in force; it changes {names}")
+        await self._go_on(revision)
+
+    async def _load(self, revision: Revision) -> bool:
+        """Load all vehicles concerned; on any refusal put those loaded back on what they had."""
+        refusals = await self._orders.give_all(
+            {
+                robot: Load(mission=vehicle_mission, diverges_at=revision.outlook.diverges_at[robot])
+                for robot, vehicle_mission in revision.missions.items()
+            }
+        )
+        if not refusals:
+            return True
+        self._say("warning", _in_words(f"plan {revision.plan.version} is dropped", refusals))
+        loaded = [robot for robot in revision.missions if robot not in refusals]
+        back = await self._orders.give_all({r: Load(mission=self.tracks[r].mission) for r in loaded})
+        for robot, text in back.items():
+            self._say("error", f"is held: its mission could not be put back: {text}", robot)
+        return False
+
+    async def _go_on(self, revision: Revision) -> None:
+        """Let the vehicles that were held for loading go on."""
+        refusals = await self._orders.give_all(
+            {robot: Start() for robot in revision.missions if self.tracks[robot].mission.steps}
+        )
+        for robot, text in refusals.items():
+            self._say("error", f"does not go on: {text}", robot)
+
+    def _adopt(self, revision: Revision, reason: str) -> None:
+        expected = expectations(
+            revision.plan, revision.compiled, self._budgets(revision.outlook.state), self.mission
+        )
+        for robot, track in self.tracks.items():
+            if robot in revision.missions:
+                track.adopt(revision.missions[robot])
+                continue
+            # The vehicle keeps its mission: the new plan's words are about its old steps.
+            free = track.mission.steps[len(track.mission.steps) - len(revision.compiled[robot].steps) :]
+            for old, new in zip(free, revision.compiled[robot].steps, strict=True):
+                if new.uid in expected:
+                    expected[old.uid] = expected.pop(new.uid)
+        self._expected = expected
+        self.plan = revision.plan
+        self.ledger.expect(revision.samples.values())
+        self._announce(reason, {robot: track.mission for robot, track in self.tracks.items()})
+
+    # The end --------------------------------------------------------------------------------------------
+
+    def _over(self) -> Outcome | None:
+        if all(track.finished for track in self.tracks.values()):
+            if self.ledger.all_home:
+                return self._ended(True, "every sample taken is home")
+            away = sum(r.state in ("on_board", "cached") for r in self.ledger.records.values())
+            return self._ended(False, f"all vehicles are done, but {away} samples are not home")
+        if self._clock.now_s() - self._progress_s > _STALL_S:
+            stuck = ", ".join(robot for robot, track in self.tracks.items() if not track.finished)
+            return self._ended(False, f"nothing has moved for {_STALL_S / 60:.0f} min: {stuck}")
+        return None
+
+    def _ended(self, complete: bool, reason: str) -> Outcome:
+        self._say("info" if complete else "error", f"mission over: {reason}")
+        return Outcome(complete, reason, self._start_s, self._clock.now_s(), self.plan.version)
+
+    # Saying ---------------------------------------------------------------------------------------------
+
+    def _budgets(self, state: TeamState) -> dict[str, float]:
+        return {robot.id: robot.energy_left_j for robot in state.robots}
+
+    def _say(self, severity: Severity, text: str, robot: str | None = None) -> None:
+        event = Event(
+            time_s=self._clock.now_s(), source="coordinator", severity=severity, text=text, robot=robot
+        )
+        self._publish("event", event)
+
+    def _publish(self, what: str, message: Message) -> None:
+        self._bus.publish(f"{root(self.mission.name)}/{what}", message)
+
+
+def _in_words(what: str, refusals: dict[str, str]) -> str:
+    return f"{what}: " + "; ".join(f"{robot}: {text}" for robot, text in refusals.items())

@@ -1,0 +1,39 @@
+"""Orders to the agents, one vehicle or the whole fleet at a time."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Mapping
+
+from malipp_field.bus import Bus, Command, Hold, Load, Release, Reply, Start, vehicle_key
+from malipp_field.clock import Clock
+from malipp_field.errors import LinkError
+
+# Wall seconds. Loading covers a whole upload and read-back on a bad radio with its retries.
+_LOAD_TIMEOUT_S = 120.0
+_ORDER_TIMEOUT_S = 60.0
+
+
+class Orders:
+    """Asks agents to do things; an agent that does not answer has not done it."""
+
+    def __init__(self, mission_name: str, bus: Bus, clock: Clock) -> None:
+        self._mission_name, self._bus, self._clock = mission_name, bus, clock
+
+    async def give(self, robot: str, order: Load | Start | Release | Hold) -> Reply:
+        """Give one order and return the agent's answer; silence is a refusal with that reason."""
+        now_s = self._clock.now_s()
+        timeout_s = _LOAD_TIMEOUT_S if isinstance(order, Load) else _ORDER_TIMEOUT_S
+        try:
+            return await self._bus.request(
+                vehicle_key(self._mission_name, robot, "command"),
+                Command(time_s=now_s, order=order),
+                timeout_s,
+            )
+        except LinkError as fault:
+            return Reply(time_s=now_s, ok=False, text=str(fault))
+
+    async def give_all(self, orders: Mapping[str, Load | Start | Release | Hold]) -> dict[str, str]:
+        """Give orders to several vehicles at once; return the refusals, by robot."""
+        replies = await asyncio.gather(*(self.give(robot, order) for robot, order in orders.items()))
+        return {robot: reply.text for robot, reply in zip(orders, replies, strict=True) if not reply.ok}

@@ -1,0 +1,86 @@
+"""From a new plan for the rest of a mission to new missions for exactly those vehicles it concerns."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from malipp_field.control.ledger import CustodyLedger
+from malipp_field.control.lookahead import Outlook
+from malipp_field.mission import Mission
+from malipp_field.plan import Plan
+from malipp_field.vehicle.compile import Custody, compile_plan
+from malipp_field.vehicle.steps import Sample, Step, VehicleMission
+
+
+@dataclass(frozen=True)
+class Revision:
+    """A new plan and what it means for the fleet.
+
+    Attributes
+    ----------
+    compiled
+        The free part of each robot's mission, from the new plan alone.
+    missions
+        The missions that vehicles concerned are to carry out: committed steps, then the free part.
+    samples
+        Every container that the new plan still wants collected.
+    """
+
+    plan: Plan
+    outlook: Outlook
+    compiled: dict[str, VehicleMission]
+    missions: dict[str, VehicleMission]
+    samples: dict[int, Sample]
+
+
+def revise(
+    mission: Mission,
+    plan: Plan,
+    outlook: Outlook,
+    ledger: CustodyLedger,
+    in_force: Mapping[str, VehicleMission],
+) -> Revision:
+    """Compile ``plan`` and compare it with the missions in force.
+
+    Containers that were promised already keep their tags, so that a vehicle whose part of the plan is what
+    it was is not touched.
+    """
+    committed_tags = {tag for steps in outlook.committed.values() for step in steps for tag in step.tags}
+    custody = Custody(
+        on_board=outlook.on_board,
+        caches=outlook.caches,
+        promised={
+            (robot.id, node): tuple(tag for tag in tags if tag not in committed_tags)
+            for robot in mission.team.robots
+            for node, tags in ledger.promised_to(robot.id).items()
+        },
+        next_tag=ledger.next_tag,
+    )
+    compiled = compile_plan(mission, plan, custody)
+    missions = {}
+    for robot_id, part in compiled.missions.items():
+        old = in_force[robot_id]
+        diverges_at = outlook.diverges_at[robot_id]
+        first_free = len(old.steps) if diverges_at is None else old.index_of(diverges_at)
+        assert first_free is not None
+        if not same_work(old.steps[first_free:], part.steps):
+            steps = (*outlook.committed[robot_id], *part.steps)
+            missions[robot_id] = VehicleMission(
+                robot=robot_id, version=plan.version, home=part.home, steps=steps
+            )
+    still_to_collect = {
+        tag: record.sample
+        for tag, record in ledger.records.items()
+        if tag in committed_tags and record.state == "planned"
+    }
+    return Revision(plan, outlook, compiled.missions, missions, {**still_to_collect, **compiled.samples})
+
+
+def same_work(old: Sequence[Step], new: Sequence[Step]) -> bool:
+    """Whether two sequences of steps make a vehicle do the same."""
+
+    def work(steps: Sequence[Step]) -> list[tuple[object, ...]]:
+        return [(step.action, step.node, step.tags, step.peer) for step in steps]
+
+    return work(old) == work(new)

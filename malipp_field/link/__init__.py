@@ -1,0 +1,1 @@
+"""One agent a vehicle: the MAVLink mission protocol on one side, the bus on the other."""

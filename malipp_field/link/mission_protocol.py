@@ -1,0 +1,294 @@
+"""The MAVLink mission protocol of a ground station: upload, download and clear, as machines without I/O.
+
+Source: https://mavlink.io/en/services/mission.html, and what ArduPilot makes of it: it drives an upload by
+requests, repeats each after about 1 s and gives up after 8 s; it truncates the stored mission at
+MISSION_COUNT, so an upload is not atomic; it answers a duplicate with MAV_MISSION_INVALID_SEQUENCE, a second
+uploader with MAV_MISSION_DENIED, and an item when no upload is going on with MAV_MISSION_ERROR.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from malipp_field.link.commands import command_name
+from malipp_field.link.exchange import (
+    AUTOPILOT_COMPONENT,
+    DEFAULT_TIMEOUT_S,
+    GROUND_COMPONENT,
+    GROUND_SYSTEM,
+    RETRIES,
+    SILENCE_LIMIT_S,
+    Exchange,
+    MavMessage,
+)
+from malipp_field.vehicle.steps import MissionItem
+
+ITEM_TIMEOUT_S = 0.25
+BUSY_LIMIT_S = 30.0
+"""How long to wait for another uploader to end, or for a vehicle that says it cannot just now."""
+ATTEMPTS = 1 + RETRIES
+"""Times an upload is begun (a lost final ACK leaves no way but to begin again)."""
+
+_REQUESTS = (mavlink.MAVLINK_MSG_ID_MISSION_REQUEST, mavlink.MAVLINK_MSG_ID_MISSION_REQUEST_INT)
+_NOT_NOW = (mavlink.MAV_MISSION_ERROR, mavlink.MAV_MISSION_DENIED)
+_NEVER_FATAL = (
+    mavlink.MAV_MISSION_INVALID_SEQUENCE,
+    mavlink.MAV_MISSION_DENIED,
+    mavlink.MAV_MISSION_OPERATION_CANCELLED,
+)
+_REFUSES_COUNT = (mavlink.MAV_MISSION_UNSUPPORTED, mavlink.MAV_MISSION_NO_SPACE)
+
+
+def result_words(result: int) -> str:
+    """Return a MAV_MISSION_RESULT as its name and meaning."""
+    entry = mavlink.enums["MAV_MISSION_RESULT"].get(result)
+    if entry is None or entry.name.endswith("ENUM_END"):
+        return f"unknown result {result}"
+    return f"{entry.name}: {entry.description.rstrip('.')}"
+
+
+class MissionExchange(Exchange):
+    """Base of the three conversations: whose messages count, and a vehicle that is busy."""
+
+    def __init__(
+        self,
+        target_system: int,
+        target_component: int = AUTOPILOT_COMPONENT,
+        own_system: int = GROUND_SYSTEM,
+        own_component: int = GROUND_COMPONENT,
+    ) -> None:
+        super().__init__(target_system, target_component, own_system, own_component)
+        self._busy_since_s: float | None = None
+
+    def receive(self, message: MavMessage, now_s: float) -> list[MavMessage]:
+        """Take in a message of the link; only the vehicle's answers to us, about missions, count."""
+        if not self._sent_by_target(message) or getattr(message, "mission_type", -1) != 0:
+            return []
+        if (message.target_system, message.target_component) != self._own:
+            return []
+        return self._answered(message, now_s)
+
+    def _answered(self, message: MavMessage, now_s: float) -> list[MavMessage]:
+        raise NotImplementedError
+
+    def _wait_for_turn(self, result: int, now_s: float) -> list[MavMessage]:
+        """Note that the vehicle cannot just now; the pending question is repeated until the limit."""
+        self._busy_since_s = now_s if self._busy_since_s is None else self._busy_since_s
+        self._heard_s = now_s
+        if now_s >= self._busy_since_s + BUSY_LIMIT_S:
+            return self._fail(f"the vehicle refused for {BUSY_LIMIT_S:.0f} s ({result_words(result)})")
+        return []
+
+    def _silent(self, question: str) -> list[MavMessage]:
+        return self._fail(f"vehicle {self._target[0]} does not answer {question}")
+
+
+class MissionUpload(MissionExchange):
+    """Put a mission on a vehicle.
+
+    `done` means that the vehicle acknowledged a transfer in which it was given every item.
+
+    Parameters
+    ----------
+    items
+        The whole mission, home first; sequence numbers count from 0.
+    """
+
+    def __init__(
+        self,
+        items: Sequence[MissionItem],
+        target_system: int,
+        target_component: int = AUTOPILOT_COMPONENT,
+        own_system: int = GROUND_SYSTEM,
+        own_component: int = GROUND_COMPONENT,
+    ) -> None:
+        super().__init__(target_system, target_component, own_system, own_component)
+        if [item.seq for item in items] != list(range(len(items))):
+            raise ValueError("the items of a mission are numbered from 0 without gaps")
+        self._items = list(items)
+        self._given: set[int] = set()
+        self._wanted: int | None = None  # item last asked for; None while MISSION_COUNT is the question
+        self._attempts = 0
+        self._refusal: int | None = None
+
+    @property
+    def progress(self) -> tuple[int, int]:
+        """Items the vehicle has been given, and all items."""
+        return len(self._given), len(self._items)
+
+    def start(self, now_s: float) -> list[MavMessage]:
+        """Announce the mission."""
+        self._attempts += 1
+        self._wanted = self._refusal = None
+        return self._ask(now_s)
+
+    def _question(self) -> list[MavMessage]:
+        if self._wanted is None:
+            count = len(self._items)
+            return [mavlink.MAVLink_mission_count_message(*self._target, count, mission_type=0)]
+        # The vehicle drives: after the specified retries it is left to ask again.
+        return [self._item_message(self._wanted)] if self._repeats <= RETRIES else []
+
+    def _item_message(self, seq: int) -> MavMessage:
+        return mavlink.MAVLink_mission_item_int_message(*self._target, *self._items[seq], mission_type=0)
+
+    def tick(self, now_s: float) -> list[MavMessage]:
+        """Let time pass; begin again when the vehicle neither asks for an item nor acknowledges."""
+        if not self.ended and self._wanted is not None and now_s >= self._heard_s + self._patience_s:
+            return self._again(now_s)
+        return super().tick(now_s)
+
+    @property
+    def _patience_s(self) -> float:
+        """How long the vehicle may be silent in mid-transfer before it must have ended it."""
+        if self._refusal is not None:
+            return DEFAULT_TIMEOUT_S
+        # At the last item it is either about to repeat its request (1 s), or done and its only ACK is lost.
+        return 2 * DEFAULT_TIMEOUT_S if self._wanted == len(self._items) - 1 else SILENCE_LIMIT_S
+
+    def _again(self, now_s: float) -> list[MavMessage]:
+        if self._attempts < ATTEMPTS:
+            return self.start(now_s)
+        asked = self._named(self._wanted or 0)
+        why = "no answer" if self._refusal is None else result_words(self._refusal)
+        return self._fail(f"{asked} did not get through in {ATTEMPTS} attempts ({why})")
+
+    def _unanswered(self) -> list[MavMessage]:
+        return self._silent("MISSION_COUNT")
+
+    def _answered(self, message: MavMessage, now_s: float) -> list[MavMessage]:
+        if message.get_msgId() in _REQUESTS:
+            return self._requested(message.seq, now_s)
+        if message.get_msgId() == mavlink.MAVLINK_MSG_ID_MISSION_ACK and not self.ended:
+            return self._acknowledged(message.type, now_s)
+        return []
+
+    def _requested(self, seq: int, now_s: float) -> list[MavMessage]:
+        """Answer a request, late ones and, when done, those of a transfer that a late MISSION_COUNT began."""
+        if seq >= len(self._items) or self.failure is not None:
+            return []
+        self._given.add(seq)
+        if self.done or (self._wanted is not None and seq < self._wanted and self._recent(now_s)):
+            return [self._item_message(seq)]
+        self._wanted, self._refusal, self._busy_since_s = seq, None, None
+        return self._ask(now_s, ITEM_TIMEOUT_S)
+
+    def _recent(self, now_s: float) -> bool:
+        """Whether a request for a later item came so lately that one for an earlier item is a late one."""
+        return now_s < self._heard_s + DEFAULT_TIMEOUT_S
+
+    def _acknowledged(self, result: int, now_s: float) -> list[MavMessage]:
+        if result == mavlink.MAV_MISSION_ACCEPTED:
+            return self._finish() if len(self._given) == len(self._items) else []
+        if self._wanted is None:
+            return self._count_refused(result, now_s)
+        if result in (mavlink.MAV_MISSION_ERROR, mavlink.MAV_MISSION_OPERATION_CANCELLED):
+            # It is not receiving: it gave up, or it has all and its ACK is lost; or this answers a duplicate.
+            self._refusal = result
+            return []
+        if result in _NEVER_FATAL:
+            return []
+        return self._fail(f"{self._named(self._wanted)} was refused ({result_words(result)})")
+
+    def _count_refused(self, result: int, now_s: float) -> list[MavMessage]:
+        if result in _REFUSES_COUNT:
+            return self._fail(f"a mission of {len(self._items)} items was refused ({result_words(result)})")
+        # Whatever else there is to say about items is late news of an earlier attempt.
+        return self._wait_for_turn(result, now_s) if result in _NOT_NOW else []
+
+    def _named(self, seq: int) -> str:
+        return f"item {seq} ({command_name(self._items[seq].command)})"
+
+
+class MissionDownload(MissionExchange):
+    """Read the mission that is on a vehicle; `items` holds it when `done`."""
+
+    def __init__(
+        self,
+        target_system: int,
+        target_component: int = AUTOPILOT_COMPONENT,
+        own_system: int = GROUND_SYSTEM,
+        own_component: int = GROUND_COMPONENT,
+    ) -> None:
+        super().__init__(target_system, target_component, own_system, own_component)
+        self.items: list[MissionItem] = []
+        self._count: int | None = None
+
+    @property
+    def progress(self) -> tuple[int, int]:
+        """Items that have arrived, and all items (0 while that is not known)."""
+        return len(self.items), self._count or 0
+
+    def start(self, now_s: float) -> list[MavMessage]:
+        """Ask how many items there are."""
+        return self._ask(now_s)
+
+    def _question(self) -> list[MavMessage]:
+        if self._count is None:
+            return [mavlink.MAVLink_mission_request_list_message(*self._target, mission_type=0)]
+        seq = len(self.items)
+        return [mavlink.MAVLink_mission_request_int_message(*self._target, seq, mission_type=0)]
+
+    def _unanswered(self) -> list[MavMessage]:
+        asked = "MISSION_REQUEST_LIST" if self._count is None else f"a request for item {len(self.items)}"
+        return self._silent(asked)
+
+    def _answered(self, message: MavMessage, now_s: float) -> list[MavMessage]:
+        kind = message.get_msgId()
+        if self.ended:
+            return []
+        if kind == mavlink.MAVLINK_MSG_ID_MISSION_COUNT and self._count is None:
+            self._count = message.count
+            return self._next(now_s)
+        if kind == mavlink.MAVLINK_MSG_ID_MISSION_ITEM_INT and self._count is not None:
+            return self._arrived(message, now_s)
+        if kind == mavlink.MAVLINK_MSG_ID_MISSION_ACK:
+            return self._refused(message.type, now_s)
+        return []
+
+    def _arrived(self, message: MavMessage, now_s: float) -> list[MavMessage]:
+        if message.seq != len(self.items):  # a duplicate, or late
+            return []
+        self.items.append(MissionItem(*(getattr(message, name) for name in MissionItem._fields)))
+        return self._next(now_s)
+
+    def _next(self, now_s: float) -> list[MavMessage]:
+        self._busy_since_s = None
+        if len(self.items) != self._count:
+            return self._ask(now_s, ITEM_TIMEOUT_S)
+        self.done = True
+        accepted = mavlink.MAV_MISSION_ACCEPTED
+        return [mavlink.MAVLink_mission_ack_message(*self._target, accepted, mission_type=0)]
+
+    def _refused(self, result: int, now_s: float) -> list[MavMessage]:
+        """Wait while somebody uploads; an ACK of an earlier upload is no answer to a request."""
+        if result in _NOT_NOW:
+            return self._wait_for_turn(result, now_s)
+        if result == mavlink.MAV_MISSION_UNSUPPORTED:
+            return self._fail(f"the vehicle cannot be asked for its mission ({result_words(result)})")
+        return []
+
+
+class MissionClear(MissionExchange):
+    """Remove the mission from a vehicle."""
+
+    def start(self, now_s: float) -> list[MavMessage]:
+        """Ask for it."""
+        return self._ask(now_s)
+
+    def _question(self) -> list[MavMessage]:
+        return [mavlink.MAVLink_mission_clear_all_message(*self._target, mission_type=0)]
+
+    def _unanswered(self) -> list[MavMessage]:
+        return self._silent("MISSION_CLEAR_ALL")
+
+    def _answered(self, message: MavMessage, now_s: float) -> list[MavMessage]:
+        if message.get_msgId() != mavlink.MAVLINK_MSG_ID_MISSION_ACK or self.ended:
+            return []
+        if message.type == mavlink.MAV_MISSION_ACCEPTED:
+            return self._finish()
+        if message.type in _NOT_NOW:
+            return self._wait_for_turn(message.type, now_s)
+        return [] if message.type in _NEVER_FATAL else self._fail(result_words(message.type))

@@ -1,0 +1,7 @@
+"""One MCAP file for a whole mission: written from the bus, read back as typed messages."""
+
+from malipp_field.record.reader import Run, read_run
+from malipp_field.record.recorder import Recorder
+from malipp_field.record.writer import RunWriter
+
+__all__ = ["Recorder", "Run", "RunWriter", "read_run"]

@@ -1,0 +1,93 @@
+"""The field estimate as images over the site, one pair after every sample that was confirmed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from malipp_field.bus.messages import Confirmation
+from malipp_field.field import FloatArray, Observation, posterior
+from malipp_field.mission import node_positions
+from malipp_field.record import Run
+from malipp_field.review.site import Frame, frame
+from malipp_field.review.summary import done
+from malipp_field.vehicle.steps import Action
+
+FloatImage = NDArray[np.float32]
+
+# Cells along the longer side: about as many as a view has pixels for when two stand beside each other.
+_CELLS = 112
+# Each image is some 40 kB: of very long missions not every sample gets one.
+_MOST_IMAGES = 150
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Square cells over a frame. Images of it have north up: row 0 is the northernmost."""
+
+    area: Frame
+    cell_m: float
+    rows: int
+    columns: int
+
+    def centres(self) -> FloatArray:
+        """Return the places of all cells row by row, shape (rows * columns, 2), in metres."""
+        east = self.area.west_m + (np.arange(self.columns) + 0.5) * self.cell_m
+        north = self.area.north_m - (np.arange(self.rows) + 0.5) * self.cell_m
+        return np.stack(np.meshgrid(east, north), axis=-1).reshape(-1, 2)
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """The field after some samples."""
+
+    time_s: float
+    """Seconds since the Unix epoch."""
+    std: FloatImage
+    """Posterior standard deviation, shape (rows, columns); it needs no values."""
+    mean: FloatImage | None
+    """Posterior mean; null while no sample has a value."""
+
+
+def grid(run: Run) -> Grid:
+    """Return the grid of a run's images."""
+    area = frame(run.mission)
+    cell_m = area.span_m / _CELLS
+    return Grid(
+        area=area,
+        cell_m=cell_m,
+        rows=round((area.north_m - area.south_m) / cell_m),
+        columns=round((area.east_m - area.west_m) / cell_m),
+    )
+
+
+def estimates(run: Run, cells: Grid) -> Iterator[Estimate]:
+    """Yield the prior and then the field after each confirmed sample."""
+    taken = done(run, Action.COLLECT)
+    counts = np.unique(np.linspace(0, len(taken), min(len(taken), _MOST_IMAGES) + 1).astype(int))
+    for count in counts:
+        yield _estimate(run, cells, taken[: int(count)])
+
+
+def _estimate(run: Run, cells: Grid, taken: list[Confirmation]) -> Estimate:
+    kernel, centres, shape = run.mission.field.kernel, cells.centres(), (cells.rows, cells.columns)
+    observed = [(said, _observation(run, said)) for said in taken]
+    mean, std = posterior(kernel, [observation for _, observation in observed], centres)
+    measured = [observation for said, observation in observed if said.value is not None]
+    if len(measured) < len(observed):
+        mean, _ = posterior(kernel, measured, centres)
+    return Estimate(
+        time_s=taken[-1].time_s if taken else run.start_s,
+        std=std.reshape(shape).astype(np.float32),
+        mean=mean.reshape(shape).astype(np.float32) if measured else None,
+    )
+
+
+def _observation(run: Run, said: Confirmation) -> Observation:
+    """Return a sample as the estimate takes it; where a value is missing only its precision is used."""
+    x_m, y_m = node_positions(run.mission)[said.node]
+    value = 0.0 if said.value is None else said.value
+    return Observation(x_m, y_m, value, run.mission.robot(said.robot).noise_variance)

@@ -1,0 +1,127 @@
+"""The whole chain in one process: simulated rovers, agents, coordinator and recorder on one bus.
+
+The parts share nothing but the bus and the clock, as they would on several machines.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+import time
+from collections.abc import Callable
+from contextlib import AsyncExitStack
+from pathlib import Path
+
+from malipp_field.bus import Bus
+from malipp_field.clock import SimClock
+from malipp_field.control import Coordinator, Outcome, Planner
+from malipp_field.link import Agent
+from malipp_field.mission import Mission, TeamState
+from malipp_field.plan import Plan
+from malipp_field.planner import solve
+from malipp_field.record import RECORDER_PRESENCE, Recorder
+from malipp_field.sim import Fleet
+
+_LAST_WORDS_S = 2.0  # simulated seconds for the last messages to reach the recorder
+
+
+def mission_planner(threads: int | None = None) -> Planner:
+    """Return the planner that a coordinator uses: the mission's own options, its replanning time limit."""
+
+    def plan_rest(mission: Mission, *, state: TeamState, warm_start: Plan, version: int) -> Plan:
+        return solve(
+            mission,
+            state=state,
+            time_limit_s=mission.replanning.time_limit_s,
+            warm_start=warm_start,
+            version=version,
+            threads=threads,
+        )
+
+    return plan_rest
+
+
+async def fly(
+    mission: Mission,
+    mission_text: str,
+    plan: Plan,
+    recording: Path,
+    *,
+    speed: float | None = None,
+    planner: Planner | None = None,
+    on_tick: Callable[[Coordinator], None] | None = None,
+) -> Outcome:
+    """Fly a plan with simulated rovers and record everything said on the bus.
+
+    Parameters
+    ----------
+    mission, mission_text
+        The mission and the file it was read from.
+    plan
+        A verified plan of it.
+    recording
+        The MCAP file to write.
+    speed
+        Simulated seconds for each wall second; the mission's own where `None`.
+    planner
+        Plans the rest of the mission when the coordinator asks; `mission_planner` where `None`.
+    on_tick
+        Called now and then with the coordinator, for a progress display.
+    """
+    clock = SimClock(start_s=time.time(), speed=mission.simulation.speed if speed is None else speed)
+    hub = f"tcp/127.0.0.1:{_free_port()}"
+    robots = [robot.id for robot in mission.team.robots]
+    async with AsyncExitStack() as stack:
+        enter = stack.enter_async_context
+        fleet = await enter(Fleet(mission, clock))
+        control_bus = await enter(Bus(listen=hub))
+        await enter(Recorder(await enter(Bus(connect=(hub,))), mission.name, recording))
+        agents = [
+            Agent(
+                mission.name,
+                robot,
+                fleet.endpoints[robot],
+                system_id,
+                await enter(Bus(connect=(hub,))),
+                clock,
+            )
+            for system_id, robot in enumerate(robots, start=1)
+        ]
+        coordinator = Coordinator(
+            mission,
+            mission_text,
+            plan,
+            control_bus,
+            clock,
+            planner or mission_planner(),
+            witnesses=(RECORDER_PRESENCE,),
+            on_tick=on_tick,
+        )
+        services = [asyncio.ensure_future(agent.run()) for agent in agents]
+        services.append(asyncio.ensure_future(clock.run()))
+        return await _until_done(coordinator, services, clock)
+
+
+async def _until_done(
+    coordinator: Coordinator, services: list[asyncio.Future[None]], clock: SimClock
+) -> Outcome:
+    """Run the coordinator to its end; a service that fails meanwhile ends the run with its fault."""
+    flight = asyncio.ensure_future(coordinator.run())
+    try:
+        await asyncio.wait([flight, *services], return_when=asyncio.FIRST_COMPLETED)
+        for service in services:
+            if service.done():
+                service.result()
+        outcome = await flight
+        await clock.sleep(_LAST_WORDS_S)
+        return outcome
+    finally:
+        for task in (flight, *services):
+            task.cancel()
+        await asyncio.gather(flight, *services, return_exceptions=True)
+
+
+def _free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])

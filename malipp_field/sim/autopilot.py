@@ -1,0 +1,309 @@
+"""The autopilot of one rover: modes, arming, battery, and carrying out the mission item by item."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from malipp_field.sim.activities import Activity, Do, InTurn, Pause
+from malipp_field.sim.mission_run import MissionRun, RunState
+from malipp_field.sim.mission_store import MissionStore
+from malipp_field.sim.motion import Leg, Position
+from malipp_field.sim.params import Parameters
+from malipp_field.sim.payload import PayloadScript, action_of
+from malipp_field.sim.world import World
+from malipp_field.vehicle.steps import Action, MissionItem, degrees_e7
+
+MODES = {
+    mavlink.ROVER_MODE_MANUAL, mavlink.ROVER_MODE_HOLD, mavlink.ROVER_MODE_LOITER,
+    mavlink.ROVER_MODE_AUTO, mavlink.ROVER_MODE_GUIDED,
+}  # fmt: skip
+"""Modes that can be entered. Only AUTO drives: the others stand still, as nobody is at the sticks."""
+
+_BUDGET_SLACK = 1e-6
+"""A plan may use a budget to the last joule; rounding on the way must not strand it there."""
+_DAY_S = 86400
+
+
+@dataclass(frozen=True)
+class RoverConfig:
+    """What may differ from rover to rover.
+
+    Attributes
+    ----------
+    ready_after_s
+        Seconds from boot until the position estimate is good and the rover lets itself be armed (about
+        40 s on a real one).
+    has_script
+        Whether the payload script is on board. Without it a NAV_SCRIPT_TIME lasts its timeout, and is then
+        reported as reached as if it had been done; without a timeout it never ends.
+    """
+
+    ready_after_s: float = 5.0
+    has_script: bool = True
+
+
+class Autopilot:
+    """One rover in the world, without its radio.
+
+    Attributes
+    ----------
+    position : tuple of float
+        East and north, metres.
+    energy_used_j : float
+        Drawn from the battery since it was full; a restart does not fill it.
+    stranded : bool
+        The battery is empty: the rover stands where it is and never moves again. Its radio, autopilot and
+        payload have a supply of their own.
+    said : list
+        STATUSTEXT and MISSION_ITEM_REACHED messages not yet taken by the radio.
+    """
+
+    def __init__(
+        self,
+        robot_id: str,
+        world: World,
+        parameters: Parameters,
+        config: RoverConfig,
+        now_s: float,
+    ) -> None:
+        self.robot = world.mission.robot(robot_id)
+        self.parameters = parameters
+        self.position: Position = world.places[self.robot.start]
+        self.heading_deg = 0.0
+        self.energy_used_j = 0.0
+        self.stranded = False
+        self.store = MissionStore(home=self.home_item)
+        self.said: list[Any] = []
+        self._world = world
+        self._config = config
+        self._time_s = now_s
+        self.reboot(now_s)
+
+    def reboot(self, now_s: float) -> None:
+        """Start the autopilot anew: disarmed, at no item, counting from 1; the stored mission survives."""
+        self.boot_s = self._time_s = now_s
+        self.mode: int = mavlink.ROVER_MODE_MANUAL
+        self.armed = False
+        self.internal_error = False
+        self.home = self.position
+        self.script = PayloadScript(self.robot.id, self._world)
+        self.store.abort()
+        self.run = MissionRun(self.store, self._begin, self._completed)
+        self._energy_at_boot_j = self.energy_used_j
+        self._activity: Activity | None = None
+        self._leg: Leg | None = None
+        self._was_in_auto = False
+
+    @property
+    def energy_since_boot_j(self) -> float:
+        """Energy drawn since the autopilot was started."""
+        return self.energy_used_j - self._energy_at_boot_j
+
+    @property
+    def battery_share(self) -> float:
+        """Share of the battery that is left, 0 to 1."""
+        budget_j = self.robot.energy_budget_j
+        return max(0.0, 1.0 - self.energy_used_j / budget_j) if budget_j > 0.0 else 0.0
+
+    @property
+    def speed_m_s(self) -> float:
+        """Speed over ground."""
+        return self._leg.speed_m_s if self._leg is not None and self._active and not self.stranded else 0.0
+
+    def ready_to_arm(self) -> bool:
+        """Return whether the position estimate is good."""
+        return self._time_s - self.boot_s >= self._config.ready_after_s
+
+    def home_item(self) -> MissionItem:
+        """Return home as item 0."""
+        lat_deg, lon_deg = self._world.globe(self.home)
+        return MissionItem(
+            0, mavlink.MAV_FRAME_GLOBAL, mavlink.MAV_CMD_NAV_WAYPOINT, 0, 1, 0.0, 0.0, 0.0, 0.0,
+            degrees_e7(lat_deg), degrees_e7(lon_deg), self._world.origin.alt_m,
+        )  # fmt: skip
+
+    def say(self, severity: int, text: str) -> None:
+        """Put a STATUSTEXT on the list."""
+        self.said.append(mavlink.MAVLink_statustext_message(severity, text.encode("ascii", "replace")[:50]))
+
+    def arm(self, force: bool = False) -> bool:
+        """Arm; refused with a text until ready, or after an internal error."""
+        if self.internal_error:
+            self.say(mavlink.MAV_SEVERITY_CRITICAL, "Arm: Internal errors 0x400 l:0 flow_of_ctrl")
+        elif not force and not self.ready_to_arm():
+            self.say(mavlink.MAV_SEVERITY_CRITICAL, "Arm: AHRS: waiting for position estimate")
+        else:
+            self.armed = True
+            self.say(mavlink.MAV_SEVERITY_INFO, "Throttle armed")
+        return self.armed
+
+    def disarm(self) -> None:
+        """Disarm: the motors stop wherever the rover is."""
+        if self.armed:
+            self.armed = False
+            self.say(mavlink.MAV_SEVERITY_INFO, "Throttle disarmed")
+
+    def set_mode(self, mode: int) -> bool:
+        """Change the mode; return whether the rover is in it now. Entering the present mode does nothing."""
+        if mode == self.mode:
+            return True
+        if mode not in MODES:
+            return False
+        if mode == mavlink.ROVER_MODE_AUTO and len(self.store.items) <= 1:
+            self.say(mavlink.MAV_SEVERITY_NOTICE, "No Mission. Can't set AUTO.")
+            return False
+        if self.mode == mavlink.ROVER_MODE_AUTO:
+            self.run.stop()
+        self.mode = mode
+        self._activity = self._leg = None
+        if mode == mavlink.ROVER_MODE_AUTO:
+            self._was_in_auto = True
+            self.run.start_or_resume(restart=self.parameters["MIS_RESTART"] == 1)
+        return True
+
+    def set_current(self, seq: int, reset: bool) -> bool:
+        """Make a mission item current; with ``reset`` also resume a mission that is not running."""
+        if reset and not self._was_in_auto:
+            # Seen on a real Rover: the mission is started outside AUTO, and arming is blocked from then on.
+            self.internal_error = True
+            self.say(mavlink.MAV_SEVERITY_CRITICAL, "Internal error 0x400")
+        return self.run.set_current(seq, resume=reset)
+
+    def advance(self, now_s: float) -> None:
+        """Live until ``now_s``, however far away that is."""
+        while self._active and self._activity is not None and self._time_s < now_s:
+            left_s = self._activity.advance(now_s - self._time_s)
+            if left_s is None:
+                break
+            self._time_s = now_s - left_s
+            self._item_ended()
+        self._time_s = max(self._time_s, now_s)
+
+    @property
+    def _active(self) -> bool:
+        """Whether the mission goes on: disarmed it does not, nor in any other mode."""
+        return self.armed and self.mode == mavlink.ROVER_MODE_AUTO
+
+    def _item_ended(self) -> None:
+        self._activity = self._leg = None
+        self.said.append(mavlink.MAVLink_mission_item_reached_message(self.run.seq))
+        self.run.item_ended()
+
+    def _completed(self) -> None:
+        self._activity = self._leg = None
+        self.say(mavlink.MAV_SEVERITY_NOTICE, "Mission Complete")
+
+    def _begin(self, item: MissionItem) -> None:
+        self._leg = None
+        match item.command:
+            case mavlink.MAV_CMD_NAV_WAYPOINT:
+                self._activity = self._visit(item, item.param1)
+            case mavlink.MAV_CMD_NAV_LOITER_TIME:
+                self._activity = self._visit(item, item.param1)
+            case mavlink.MAV_CMD_NAV_LOITER_UNLIM:
+                self._activity = self._visit(item, None)
+            case mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH:
+                self._activity = self._visit(self.home_item(), 0.0)
+            case mavlink.MAV_CMD_NAV_DELAY:
+                self._activity = Pause(self._delay_s(item))
+            case _:
+                self._activity = self._scripted(item)
+
+    def _visit(self, item: MissionItem, stay_s: float | None) -> Activity:
+        """Return driving to the item's place, saying so, and staying there."""
+        text = f"Reached waypoint #{self.run.seq}"
+        if stay_s:
+            text += f". Loiter for {stay_s:.0f} seconds"
+        target = self._world.local(item.x / 1e7, item.y / 1e7)
+        announce = Do(lambda: self.say(mavlink.MAV_SEVERITY_INFO, text))
+        return InTurn(_Travel(self, target), announce, Pause(stay_s))
+
+    def _delay_s(self, item: MissionItem) -> float:
+        """Return how long NAV_DELAY lasts: param 1, or else until a time of day (UTC), where -1 is any."""
+        if item.param1 > 0.0:
+            return item.param1
+        now = int(self._time_s) % _DAY_S
+        parts = (now // 3600, now // 60 % 60, now % 60)
+        asked = (item.param2, item.param3, item.param4)
+        hour, minute, second = (a if a >= 0 else p for a, p in zip(asked, parts, strict=True))
+        return (hour * 3600 + minute * 60 + second - now) % _DAY_S
+
+    def _scripted(self, item: MissionItem) -> Activity:
+        timeout_s = item.param2 if item.param2 > 0.0 else math.inf
+        if not self._config.has_script:
+            return Pause(timeout_s)
+        action = action_of(item)
+        if action is Action.WAIT:
+            return Pause(timeout_s)
+        if action is None:
+            return Do(lambda: self._refuse(f"MLP unknown action code {item.param1:.0f}"))
+        duration_s = self.script.duration_s(self.store.items, item.seq)
+        if duration_s > timeout_s:
+            return Pause(timeout_s)
+        known = action
+        return InTurn(Pause(duration_s), Do(lambda: self._handle(known, item.x)))
+
+    def _handle(self, action: Action, tag: int) -> bool:
+        """Carry out a payload action; the rover holds when it cannot be done, rather than drive on."""
+        if self.script.carry_out(action, tag, self.position):
+            return True
+        return self._refuse(f"Cannot {action} {tag}: holding")
+
+    def _refuse(self, text: str) -> bool:
+        self.say(mavlink.MAV_SEVERITY_ERROR, text)
+        self.set_mode(mavlink.ROVER_MODE_HOLD)
+        return False
+
+    def leg_to(self, target: Position) -> Leg:
+        """Return a new leg from here and set out on it."""
+        self._leg = self._world.leg(self.robot.id, self.position, target)
+        if not self._leg.done:
+            self.heading_deg = self._leg.heading_deg
+        return self._leg
+
+    def drive(self, leg: Leg, duration_s: float) -> float | None:
+        """Drive on along a leg as far as time and battery allow; see `Activity.advance`."""
+        capacity_j = self.robot.energy_budget_j * (1.0 + _BUDGET_SLACK)
+        progress = leg.advance(
+            duration_s, self._world.mass_kg(self.robot.id), max(0.0, capacity_j - self.energy_used_j)
+        )
+        self.energy_used_j += progress.energy_j
+        self.position = leg.position
+        if leg.done:
+            return max(0.0, duration_s - progress.time_s)
+        if not self.stranded and self.energy_used_j >= capacity_j * (1.0 - _BUDGET_SLACK / 10):
+            self.stranded = True
+            self.say(mavlink.MAV_SEVERITY_EMERGENCY, "Battery empty: cannot move")
+        return None
+
+
+class _Travel:
+    """Driving straight to a place."""
+
+    def __init__(self, autopilot: Autopilot, target: Position) -> None:
+        self._autopilot = autopilot
+        self._target = target
+        self._leg: Leg | None = None
+
+    def advance(self, duration_s: float) -> float | None:
+        """See `Activity`."""
+        if self._leg is None:
+            self._leg = self._autopilot.leg_to(self._target)
+        return self._autopilot.drive(self._leg, duration_s)
+
+
+def mission_state(autopilot: Autopilot) -> int:
+    """Return MISSION_STATE as ArduPilot reports it; it never says paused."""
+    if len(autopilot.store.items) <= 1:
+        return int(mavlink.MISSION_STATE_NO_MISSION)
+    return int(
+        {
+            RunState.STOPPED: mavlink.MISSION_STATE_NOT_STARTED,
+            RunState.RUNNING: mavlink.MISSION_STATE_ACTIVE,
+            RunState.COMPLETE: mavlink.MISSION_STATE_COMPLETE,
+        }[autopilot.run.state]
+    )

@@ -1,0 +1,114 @@
+"""Which item of the stored mission is carried out, as ArduPilot's `AP_Mission` keeps track of it.
+
+Its ways that matter to safety are kept: the active item is a copy in memory, so a new upload changes nothing
+until that item ends or another is made current; a stale number beyond the end completes the mission; and a
+completed mission stays completed in AUTO until an item is made current *and* the mission resumed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from enum import Enum, auto
+
+from malipp_field.sim.items import NAVIGATION
+from malipp_field.sim.mission_store import MissionStore
+from malipp_field.vehicle.steps import MissionItem
+
+
+class RunState(Enum):
+    """The states of `AP_Mission`."""
+
+    STOPPED = auto()
+    RUNNING = auto()
+    COMPLETE = auto()
+
+
+class MissionRun:
+    """The sequence of items.
+
+    Parameters
+    ----------
+    store
+        The stored mission.
+    begin
+        Called with each item that is to be carried out from now on.
+    completed
+        Called when no item is left.
+    """
+
+    def __init__(
+        self,
+        store: MissionStore,
+        begin: Callable[[MissionItem], None],
+        completed: Callable[[], None],
+    ) -> None:
+        self._store = store
+        self._begin = begin
+        self._completed = completed
+        self._enter(RunState.STOPPED)
+        self._load(None)
+
+    @property
+    def seq(self) -> int:
+        """Number of the active item, 0 while there is none."""
+        return 0 if self.active is None else self.active.seq
+
+    def start_or_resume(self, restart: bool) -> None:
+        """Go on with the active item as it is stored now, or from the first (on entering AUTO)."""
+        stored = None if self.active is None else self._store.item(self.active.seq)
+        if restart or self.state is RunState.COMPLETE or stored is None:
+            self._enter(RunState.RUNNING)
+            self._advance(1)
+        else:
+            self._enter(RunState.RUNNING)
+            self._load(stored)
+            self._begin(stored)
+
+    def stop(self) -> None:
+        """Leave off at the active item (on leaving AUTO)."""
+        if self.state is RunState.RUNNING:
+            self._enter(RunState.STOPPED)
+
+    def item_ended(self) -> None:
+        """Go on to the next item in store."""
+        if self._store.items:
+            self._advance(self.seq + 1)
+
+    def set_current(self, seq: int, resume: bool = False) -> bool:
+        """Make an item current; return whether there is one.
+
+        A running mission jumps there at once; one that is not running only does so with ``resume``.
+        """
+        if not 0 <= seq < len(self._store.items) or len(self._store.items) == 1:
+            return False
+        first = max(1, seq)
+        if self.state is RunState.RUNNING:
+            return self._advance(first)
+        self._load(self._next_navigation(first))
+        self._enter(RunState.STOPPED)
+        if self.active is not None and resume:
+            self._enter(RunState.RUNNING)
+            self._begin(self.active)
+        return self.active is not None
+
+    def _advance(self, seq: int) -> bool:
+        """Begin the first lasting item from ``seq`` on; what lies before it is done in passing."""
+        item = self._next_navigation(seq)
+        if item is None:
+            self._enter(RunState.COMPLETE)
+            self._completed()
+            return False
+        self._load(item)
+        self._begin(item)
+        return True
+
+    def _next_navigation(self, seq: int) -> MissionItem | None:
+        return next((item for item in self._store.items[seq:] if item.command in NAVIGATION), None)
+
+    def _load(self, item: MissionItem | None) -> None:
+        self.active: MissionItem | None = item
+        self._store.current = self.seq
+
+    def _enter(self, state: RunState) -> None:
+        self.state = state
+        self._store.running = state is RunState.RUNNING

@@ -1,0 +1,80 @@
+"""The payload script on a vehicle: carries out NAV_SCRIPT_TIME items and insists that the ground hears of it.
+
+Param 1 is the action (`ACTION_CODES`), param 3 the number of the stop, param 4 the number of containers and x
+the tag of the container. The actions of one stop share the service time beta evenly, however many they are,
+so a stop takes exactly beta, as the paper's service window assumes. `WAIT` takes none of it and never ends by
+itself: the ground lets the vehicle pass by making the next item current.
+"""
+
+from __future__ import annotations
+
+from malipp_field.sim.motion import Position
+from malipp_field.sim.world import World
+from malipp_field.vehicle.payload_protocol import REPEAT_S, format_confirmation
+from malipp_field.vehicle.steps import ACTION_CODES, MAV_CMD_NAV_SCRIPT_TIME, Action, MissionItem
+
+_ACTIONS = {code: action for action, code in ACTION_CODES.items()}
+
+
+def action_of(item: MissionItem) -> Action | None:
+    """Return the action an item asks for, or `None` when the script knows no such code."""
+    return _ACTIONS.get(int(item.param1))
+
+
+def actions_at_stop(items: list[MissionItem], seq: int) -> int:
+    """Return how many payload actions share the stop of item ``seq``: its neighbours of the same number."""
+    return 1 + _same_stop(items, seq, 1) + _same_stop(items, seq, -1)
+
+
+def _same_stop(items: list[MissionItem], seq: int, direction: int) -> int:
+    count, at = 0, seq + direction
+    while 0 <= at < len(items) and items[at].command == MAV_CMD_NAV_SCRIPT_TIME:
+        if items[at].param3 != items[seq].param3:
+            break
+        count += action_of(items[at]) is not Action.WAIT
+        at += direction
+    return count
+
+
+class PayloadScript:
+    """What is done to containers on one vehicle, and its confirmations not yet acknowledged.
+
+    Parameters
+    ----------
+    robot_id
+        Whose script it is.
+    world
+        Where containers really are.
+    """
+
+    def __init__(self, robot_id: str, world: World) -> None:
+        self._robot_id = robot_id
+        self._world = world
+        self._number = 0
+        self._unheard: dict[int, tuple[str, float | None]] = {}  # number: text, when it was last sent
+
+    def duration_s(self, items: list[MissionItem], seq: int) -> float:
+        """Return how long the action of item ``seq`` takes."""
+        return self._world.mission.team.service_time_s / actions_at_stop(items, seq)
+
+    def carry_out(self, action: Action, tag: int, place: Position) -> bool:
+        """Do an action and put its confirmation on the list; return whether it could be done."""
+        outcome = self._world.act(self._robot_id, action, tag, place)
+        self._number += 1
+        text = format_confirmation(self._number, action, tag, outcome.result, outcome.value)
+        self._unheard[self._number] = text, None
+        return outcome.result == "ok"
+
+    def acknowledge(self, number: int) -> None:
+        """Strike off every confirmation up to that number; one never given is no acknowledgement."""
+        if number <= self._number:
+            self._unheard = {n: entry for n, entry in self._unheard.items() if n > number}
+
+    def due(self, now_s: float) -> list[str]:
+        """Return the texts to be sent now: those never sent, and those unheard for `REPEAT_S`."""
+        texts = []
+        for number, (text, sent_s) in self._unheard.items():
+            if sent_s is None or now_s - sent_s >= REPEAT_S:
+                self._unheard[number] = text, now_s
+                texts.append(text)
+        return texts

@@ -1,0 +1,1 @@
+"""From a plan to what each vehicle is to do, and to the mission files ground stations read."""

@@ -1,0 +1,88 @@
+"""QGroundControl `.plan` files: mission, keep-outs as a fence, depots as rally points.
+
+Format: "Plan File Format" in QGroundControl's developer guide. Home is not an item there; it is
+``plannedHomePosition``, and the item with ``doJumpId`` *i* is item *i* of the MAVLink mission.
+"""
+
+from __future__ import annotations
+
+import json
+
+from malipp_field.mission import Mission, keep_out_polygons, node_positions, to_globe
+from malipp_field.mission.schema import Origin
+from malipp_field.vehicle.steps import MAV_CMD_NAV_WAYPOINT, MissionItem, VehicleMission
+
+MAV_AUTOPILOT_ARDUPILOTMEGA = 3
+MAV_TYPE_GROUND_ROVER = 10
+ALTITUDE_MODE_RELATIVE = 1
+
+Json = dict[str, object]
+
+
+def qgc_plan_text(mission: Mission, origin: Origin, vehicle: VehicleMission) -> str:
+    """Return the text of a `.plan` file.
+
+    Parameters
+    ----------
+    mission
+        Gives keep-outs, depots and the speed of the robot.
+    origin
+        The mission's origin; an abstract site cannot be exported.
+    vehicle
+        What the robot is to do; at least one step.
+    """
+    speed_m_s = mission.robot(vehicle.robot).speed_m_s
+    document: Json = {
+        "fileType": "Plan",
+        "groundStation": "malipp-field",
+        "version": 1,
+        "mission": {
+            "version": 2,
+            "firmwareType": MAV_AUTOPILOT_ARDUPILOTMEGA,
+            "vehicleType": MAV_TYPE_GROUND_ROVER,
+            "cruiseSpeed": speed_m_s,
+            "hoverSpeed": speed_m_s,
+            "globalPlanAltitudeMode": ALTITUDE_MODE_RELATIVE,
+            "plannedHomePosition": [
+                vehicle.home.lat_deg, vehicle.home.lon_deg, origin.alt_m + vehicle.home.alt_m
+            ],
+            "items": [_simple_item(item) for item in vehicle.items()[1:]],
+        },
+        "geoFence": {"version": 2, "circles": [], "polygons": _exclusions(mission, origin)},
+        "rallyPoints": {"version": 2, "points": _rally_points(mission, origin, vehicle.robot)},
+    }  # fmt: skip
+    return json.dumps(document, indent=4) + "\n"
+
+
+def _simple_item(item: MissionItem) -> Json:
+    data: Json = {
+        "type": "SimpleItem",
+        "frame": item.frame,
+        "command": item.command,
+        "autoContinue": bool(item.autocontinue),
+        "doJumpId": item.seq,
+    }
+    params = [item.param1, item.param2, item.param3, item.param4]
+    if item.command == MAV_CMD_NAV_WAYPOINT:
+        data |= {"AMSLAltAboveTerrain": None, "Altitude": item.z, "AltitudeMode": ALTITUDE_MODE_RELATIVE}
+        return data | {"params": [*params, item.x / 1e7, item.y / 1e7, item.z]}
+    # Without a position (frame 2) params 5 to 7 are not degrees: x and y travel as they are.
+    return data | {"params": [*params, item.x, item.y, item.z]}
+
+
+def _exclusions(mission: Mission, origin: Origin) -> list[Json]:
+    """Return the keep-outs as polygons the vehicle must stay out of; the ring is not closed."""
+    return [
+        {
+            "version": 1,
+            "inclusion": False,
+            "polygon": [list(to_globe(x_m, y_m, origin)) for x_m, y_m in polygon.exterior.coords[:-1]],
+        }
+        for polygon in keep_out_polygons(mission).values()
+    ]
+
+
+def _rally_points(mission: Mission, origin: Origin, robot: str) -> list[list[float]]:
+    """Return the depots where the robot may unload: degrees, and metres above home."""
+    places = node_positions(mission)
+    return [[*to_globe(*places[depot], origin), 0.0] for depot in mission.robot(robot).depots]
