@@ -56,7 +56,7 @@ class Rover:
         now_s: float,
         config: RoverConfig | None = None,
     ) -> None:
-        self.robot_id = robot_id
+        self.robot_id, self.world = robot_id, world
         self.system_id = system_id
         self.parameters = Parameters(MAV_SYSID=system_id)
         self.autopilot = Autopilot(robot_id, world, self.parameters, config or RoverConfig(), now_s)
