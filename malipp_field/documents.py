@@ -5,6 +5,7 @@ JSON is read by the same YAML 1.2 reader, so both kinds of file get line numbers
 
 from __future__ import annotations
 
+import datetime
 import difflib
 from dataclasses import dataclass
 from pathlib import Path
@@ -149,7 +150,10 @@ def _plain(node: Any, location: Location, lines: dict[Location, int]) -> Any:
         return [_plain(value, (*location, index), lines) for index, value in enumerate(node)]
     if isinstance(node, bool) or node is None:
         return node
-    for plain in (int, float, str):  # ruamel.yaml's scalars remember how they were written
+    if isinstance(node, str):
+        # JSON may escape a character beyond 16 bits as two; YAML reads them one by one.
+        return node.encode("utf-16", "surrogatepass").decode("utf-16", "replace")
+    for plain in (int, float):  # ruamel.yaml's scalars remember how they were written
         if isinstance(node, plain):
             return plain(node)
     return node
@@ -173,7 +177,11 @@ def _in_words(details: ErrorDetails, model: type[BaseModel], location: Location)
         near = suggest(str(location[-1]), known)
         return f"unknown key{near or ('; known here: ' + ', '.join(known) if known else '')}"
     if kind in _EXPECTED:
-        hint = "; write it in quotes" if kind == "string_type" and isinstance(value, int | float) else ""
+        hint = (
+            "; write it in quotes"
+            if kind == "string_type" and isinstance(value, int | float | datetime.date)
+            else ""
+        )
         return f"expected {_EXPECTED[kind]}, found {_shown(value)}{hint}"
     message = details["msg"].removeprefix("Value error, ").removeprefix("Input ")
     return message if kind == "value_error" else f"{message}, found {_shown(value)}"

@@ -17,6 +17,7 @@ from malipp_field.bus.messages import (
     SampleRecord,
     Start,
     Telemetry,
+    presence_key,
     root,
     vehicle_key,
 )
@@ -40,6 +41,7 @@ __all__ = [
     "SampleRecord",
     "Start",
     "Telemetry",
+    "presence_key",
     "root",
     "vehicle_key",
 ]

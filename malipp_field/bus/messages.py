@@ -13,6 +13,7 @@ key after ``malipp/MISSION/``  type                who says it
 ``vehicle/ROBOT/telemetry``    `Telemetry`         the robot's agent
 ``vehicle/ROBOT/confirmation`` `Confirmation`      the robot's agent, for every payload action done
 ``vehicle/ROBOT/command``      `Command` (query)   coordinator asks, agent answers with `Reply`
+``alive/NAME``                 liveliness token    agents (by robot) and the recorder, while they listen
 =============================  ==================  ====================================================
 """
 
@@ -201,3 +202,8 @@ def root(mission: str) -> str:
 def vehicle_key(mission: str, robot: str, what: str) -> str:
     """Return the key of something that one vehicle's agent says or answers."""
     return f"{root(mission)}/vehicle/{robot}/{what}"
+
+
+def presence_key(mission: str, name: str) -> str:
+    """Return the key of the liveliness token of a robot's agent, or of the recorder."""
+    return f"{root(mission)}/alive/{name}"

@@ -22,6 +22,7 @@ from malipp_field.bus import (
     Release,
     Start,
     Telemetry,
+    presence_key,
     root,
     vehicle_key,
 )
@@ -41,7 +42,7 @@ from malipp_field.vehicle.steps import Action, VehicleMission
 _TICK_S = 0.5
 _AGREEMENT_S = 5.0  # from a plan to all vehicles verified, on top of the planner's time limit
 _PAUSE_S = 60.0  # between replans, so that noise does not cause churn
-_STALL_S = 900.0  # without any progress of any vehicle the mission has come to an end
+_RELEASE_AGAIN_S = 5.0  # a gate that is still shut so long after it was to open is tried again
 _PRESENCE_TIMEOUT_S = 60.0
 
 Severity = Literal["info", "warning", "error"]
@@ -113,8 +114,8 @@ class Coordinator:
         )
         self._start_s = clock.now_s()
         self._quiet_until_s = 0.0
-        self._progress_s = 0.0
         self._present: set[str] = set()
+        self._released_s: dict[str, float] = {}  # when each gate was last told to open
 
     @property
     def mission_time_s(self) -> float:
@@ -151,21 +152,16 @@ class Coordinator:
             await self._bus.subscribe(
                 vehicle_key(self.mission.name, robot, "confirmation"), Confirmation, self._on_confirmation
             )
-        await self._bus.watch_presence(f"{root(self.mission.name)}/alive/*", self._on_presence)
+        await self._bus.watch_presence(presence_key(self.mission.name, "*"), self._on_presence)
 
     def _on_presence(self, key: str, there: bool) -> None:
         name = key.rsplit("/", 1)[-1]
         (self._present.add if there else self._present.discard)(name)
 
     def _on_telemetry(self, _key: str, telemetry: Telemetry) -> None:
-        track = self.tracks[telemetry.robot]
-        before = track.changed_s
-        track.update(telemetry)
-        if track.changed_s != before:
-            self._progress_s = self._clock.now_s()
+        self.tracks[telemetry.robot].update(telemetry)
 
     def _on_confirmation(self, _key: str, confirmation: Confirmation) -> None:
-        self._progress_s = self._clock.now_s()
         what = f"{confirmation.action} of container {confirmation.tag} at {confirmation.node}"
         if not confirmation.ok:
             self._say("error", f"{what} failed: {confirmation.text}", confirmation.robot)
@@ -196,7 +192,7 @@ class Coordinator:
             refusals = await self._orders.give_all({r: Load(mission=m) for r, m in busy.items()})
             if refusals:
                 return _in_words("not started, a vehicle does not hold its mission", refusals)
-            self._start_s = self._progress_s = self._clock.now_s()
+            self._start_s = self._clock.now_s()
             self.ledger.expect(self._samples.values())
             self._announce("first plan", {r: t.mission for r, t in self.tracks.items()})
             refusals = await self._orders.give_all({robot: Start() for robot in busy})
@@ -223,9 +219,13 @@ class Coordinator:
     # Gates ----------------------------------------------------------------------------------------------
 
     async def _open_gates(self) -> None:
+        now_s = self._clock.now_s()
         for robot, track in self.tracks.items():
             step = track.step
-            if step is not None and step.action is Action.WAIT and self._may_pass(robot, step.tags):
+            if step is None or step.action is not Action.WAIT or not self._may_pass(robot, step.tags):
+                continue
+            if now_s >= self._released_s.get(step.uid, -_RELEASE_AGAIN_S) + _RELEASE_AGAIN_S:
+                self._released_s[step.uid] = now_s
                 reply = await self._orders.give(robot, Release(uid=step.uid))
                 if not reply.ok:
                     self._say("warning", f"gate at {step.node} does not open: {reply.text}", robot)
@@ -370,9 +370,11 @@ class Coordinator:
                 return self._ended(True, "every sample taken is home")
             away = sum(r.state in ("on_board", "cached") for r in self.ledger.records.values())
             return self._ended(False, f"all vehicles are done, but {away} samples are not home")
-        if self._clock.now_s() - self._progress_s > _STALL_S:
+        stall_s = self.mission.replanning.stall_s
+        progress_s = max(self._start_s, *(track.progress_s for track in self.tracks.values()))
+        if self._clock.now_s() - progress_s > stall_s:
             stuck = ", ".join(robot for robot, track in self.tracks.items() if not track.finished)
-            return self._ended(False, f"nothing has moved for {_STALL_S / 60:.0f} min: {stuck}")
+            return self._ended(False, f"no progress for {stall_s:.0f} s: {stuck}")
         return None
 
     def _ended(self, complete: bool, reason: str) -> Outcome:

@@ -24,6 +24,9 @@ class Track:
         self.telemetry: Telemetry | None = None
         self.changed_s = 0.0
         """Clock time at which the current step last changed."""
+        self.progress_s = 0.0
+        """Clock time at which the vehicle last began a step or got a little further."""
+        self._mark = (math.inf, math.inf)
         self._origin = mission.site.origin or ABSTRACT_ORIGIN
         self._last_node = mission.robot(robot_id).start
         self._leg_start: tuple[float, float, float, float] | None = None  # time, energy, x, y
@@ -71,6 +74,8 @@ class Track:
         if telemetry.step_uid != before:
             self.changed_s = telemetry.time_s
             self._leg_start = (telemetry.time_s, telemetry.energy_used_j, *self.position)
+        if telemetry.step_uid != before or math.dist(self._mark, self.position) > _TRUSTED_M:
+            self._mark, self.progress_s = self.position, telemetry.time_s
 
     def adopt(self, vehicle_mission: VehicleMission) -> None:
         """Follow another mission from now on."""

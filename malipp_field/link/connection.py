@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import Callable
+from typing import cast
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
@@ -44,14 +45,16 @@ class FrameReader:
         while at < len(datagram):
             length = _frame_length(datagram, at)
             message = self._decode(datagram[at : at + length]) if length else None
+            unknown = isinstance(message, mavlink.MAVLink_unknown)
+            # The checksum of an unknown message cannot be verified: amid garbage it is taken for garbage.
             clean = clean and message is not None
-            at += length if message is not None else 1
-            if message is not None:
+            valid = message is not None and (clean or not unknown)
+            at += length if valid else 1
+            self.unknown += valid and unknown
+            if valid and not unknown:
                 messages.append(message)
         self.malformed += not clean
-        known = [message for message in messages if not isinstance(message, mavlink.MAVLink_unknown)]
-        self.unknown += len(messages) - len(known)
-        return known
+        return messages
 
     def _decode(self, frame: bytes) -> MavMessage | None:
         try:
@@ -125,8 +128,7 @@ class MavConnection(asyncio.DatagramProtocol):
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """Keep the transport (asyncio's callback)."""
-        assert isinstance(transport, asyncio.DatagramTransport)
-        self._transport = transport
+        self._transport = cast(asyncio.DatagramTransport, transport)
 
     def datagram_received(self, data: bytes, addr: object) -> None:  # noqa: ARG002 (asyncio's signature)
         """Hand on the messages of a datagram (asyncio's callback)."""

@@ -166,11 +166,11 @@ class MissionUpload(MissionExchange):
         return []
 
     def _requested(self, seq: int, now_s: float) -> list[MavMessage]:
-        """Answer a request, late ones and, when done, those of a transfer that a late MISSION_COUNT began."""
-        if seq >= len(self._items) or self.failure is not None:
+        """Answer a request, whichever of the two kinds, and even when it is late."""
+        if seq >= len(self._items) or self.ended:
             return []
         self._given.add(seq)
-        if self.done or (self._wanted is not None and seq < self._wanted and self._recent(now_s)):
+        if self._wanted is not None and seq < self._wanted and self._recent(now_s):
             return [self._item_message(seq)]
         self._wanted, self._refusal, self._busy_since_s = seq, None, None
         return self._ask(now_s, ITEM_TIMEOUT_S)

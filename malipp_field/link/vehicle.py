@@ -107,7 +107,7 @@ class Vehicle:
             self.energy_used_j = message.energy_consumed * JOULES_PER_HECTOJOULE
 
     def _named_value(self, message: MavMessage) -> None:
-        if text_of(message.name) == ENERGY_NAME and math.isfinite(message.value):
+        if message.name == ENERGY_NAME and math.isfinite(message.value):
             self._script_measures_energy = True
             self.energy_used_j = message.value * JOULES_PER_WATT_HOUR
 
@@ -115,9 +115,3 @@ class Vehicle:
         self.mission_reports += 1
         self.current_seq = message.seq
         self.mission_complete = message.mission_state == mavlink.MISSION_STATE_COMPLETE
-
-
-def text_of(field: bytes | str) -> str:
-    """Return a text field of a message, which pymavlink leaves as bytes in some places."""
-    text = field.decode("utf-8", "replace") if isinstance(field, bytes) else field
-    return text.rstrip("\0")

@@ -147,6 +147,8 @@ class Replanning(StrictModel):
     """Energy used beyond the plan, as a share of the budget, that asks for a new plan."""
     time_limit_s: Positive = 5.0
     """Seconds the planner may think while the team drives on."""
+    stall_s: Positive = 900.0
+    """A mission in which no vehicle gets any further for this long is over."""
 
 
 class TerrainPatch(Place):

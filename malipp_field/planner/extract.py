@@ -61,7 +61,7 @@ class TeamPlan:
 
 def read_routes(model: TeamModel, point: FloatArray) -> tuple[Route, ...]:
     """Return the routes at an integer point of the model, without stops at which nothing is done."""
-    return tuple(_tidy(_read_route(model, point, r)) for r in range(len(model.problem.robots)))
+    return tuple(tidy(_read_route(model, point, r)) for r in range(len(model.problem.robots)))
 
 
 def _read_route(model: TeamModel, point: FloatArray, r: int) -> Route:
@@ -97,7 +97,7 @@ def _read_visit(model: TeamModel, point: FloatArray, r: int, slot: int) -> Visit
     )
 
 
-def _tidy(route: Route) -> Route:
+def tidy(route: Route) -> Route:
     """Leave out idle stops, and close the route of a robot that stays at its depot in one visit."""
     kept = (route[0], *(visit for visit in route[1:-1] if not visit.idle), route[-1])
     first, last = kept[0], kept[-1]
@@ -152,30 +152,38 @@ def leg_energies(problem: Problem, robot: RobotView, route: Route) -> list[float
 def earliest_departures(
     problem: Problem, routes: tuple[Route, ...]
 ) -> tuple[tuple[float, ...], ...] | None:
-    """Return t_v^r of the schedule in which nobody waits without need; None where drops wait in a circle.
-
-    Longest paths over legs (eq:time_propagation) and drops (eq:deaddrop_sync).
-    """
-    beta = problem.service_time_s
-    graph = nx.DiGraph()
-    soonest: dict[tuple[int, int], float] = {}
-    stop_of = {(r, visit.node): k for r, route in enumerate(routes) for k, visit in _operating(route)}
+    """Return t_v^r of the schedule in which nobody waits without need; None where drops wait in a circle."""
+    graph = precedence(problem, routes)
+    if not nx.is_directed_acyclic_graph(graph):
+        return None
+    soonest = {}
     for r, (robot, route) in enumerate(zip(problem.robots, routes, strict=True)):
         for k, visit in enumerate(route):
             fetched = [problem.stocks[s].available_s for s in visit.fetch]
-            soonest[r, k] = max([robot.ready_s, *fetched]) + beta
-            graph.add_node((r, k))
+            soonest[r, k] = max([robot.ready_s, *fetched]) + problem.service_time_s
+    for stop in nx.topological_sort(graph):
+        for _, later, data in graph.out_edges(stop, data=True):
+            soonest[later] = max(soonest[later], soonest[stop] + data["wait"])
+    return tuple(tuple(soonest[r, k] for k in range(len(route))) for r, route in enumerate(routes))
+
+
+def precedence(problem: Problem, routes: tuple[Route, ...]) -> nx.DiGraph[tuple[int, int]]:
+    """Return stops (robot, index), joined by legs (eq:time_propagation) and drops (eq:deaddrop_sync).
+
+    The attribute ``wait`` of an edge is the time between the two departures, in seconds.
+    """
+    beta = problem.service_time_s
+    graph: nx.DiGraph[tuple[int, int]] = nx.DiGraph()
+    stop_of = {(r, visit.node): k for r, route in enumerate(routes) for k, visit in _operating(route)}
+    for r, (robot, route) in enumerate(zip(problem.robots, routes, strict=True)):
+        graph.add_nodes_from((r, k) for k in range(len(route)))
+        for k, visit in enumerate(route):
             if k:
                 leg_s = float(robot.closure.time_s[route[k - 1].node, visit.node])
                 graph.add_edge((r, k - 1), (r, k), wait=leg_s + beta)
             for o in visit.drop:
                 graph.add_edge((r, k), (o, stop_of[o, visit.node]), wait=beta + problem.clearance_s)
-    if not nx.is_directed_acyclic_graph(graph):
-        return None
-    for stop in nx.topological_sort(graph):
-        for _, later, data in graph.out_edges(stop, data=True):
-            soonest[later] = max(soonest[later], soonest[stop] + data["wait"])
-    return tuple(tuple(soonest[r, k] for k in range(len(route))) for r, route in enumerate(routes))
+    return graph
 
 
 def _operating(route: Route) -> list[tuple[int, Visit]]:

@@ -16,6 +16,8 @@ from malipp_field.field import FloatArray
 Terms = Iterable[tuple[int, float]]
 INFINITY = math.inf
 _TOLERANCE = 1e-7
+_INTERRUPT = highspy.cb.HighsCallbackType.kCallbackMipInterrupt
+_EVENTS = (_INTERRUPT, highspy.cb.HighsCallbackType.kCallbackMipImprovingSolution)
 
 
 @dataclass(frozen=True)
@@ -32,12 +34,16 @@ class Outcome:
 
 @dataclass
 class Effort:
-    """How long a run may take: by the clock, by nodes of its tree, or until somebody cancels."""
+    """How long a run may take: by the clock, by work done, or until somebody cancels.
+
+    Work is counted in the calls HiGHS makes to ask whether it should stop: unlike seconds, they come at the
+    same points of the search each time, so that what is limited by them stays reproducible.
+    """
 
     deadline: float
     """On `time.monotonic`."""
     cancelled: Callable[[], bool] = lambda: False
-    nodes: int | None = None
+    calls: int | None = None
 
     @property
     def left_s(self) -> float:
@@ -91,16 +97,6 @@ class LinearModel:
                 lower, upper, len(merged), np.array(list(merged), dtype=np.int32), np.array(list(merged.values()))
             )
 
-    def bound(self, columns: list[int], lower: list[float], upper: list[float]) -> None:
-        """Set bounds of columns in the solver; the model's own bounds stay what `restore` goes back to."""
-        self._live().changeColsBounds(
-            len(columns), np.array(columns, dtype=np.int32), np.array(lower), np.array(upper)
-        )
-
-    def restore(self) -> None:
-        """Undo every `bound`."""
-        self.bound(list(range(len(self.cost))), self.lower, self.upper)
-
     def objective(self, terms: Terms) -> None:
         """Replace the objective (to be minimised)."""
         costs = np.zeros(len(self.cost))
@@ -144,7 +140,6 @@ class LinearModel:
         solver.clearSolver()
         solver.setOptionValue("time_limit", effort.left_s)
         solver.setOptionValue("mip_rel_gap", gap)
-        solver.setOptionValue("mip_max_nodes", effort.nodes if effort.nodes is not None else highspy.kHighsIInf)
         if start is not None:
             _set_start(solver, start)
         _watch(solver, effort, on_point)
@@ -192,12 +187,14 @@ def _set_start(solver: Any, start: FloatArray) -> None:
 
 
 def _watch(solver: Any, effort: Effort, on_point: Callable[[FloatArray], None] | None) -> None:
-    kind = highspy.cb.HighsCallbackType
+    calls = 0
 
     def heard(what: Any, _message: str, said: Any, answer: Any, _data: object) -> None:
-        if what == kind.kCallbackMipInterrupt or what == kind.kCallbackSimplexInterrupt:
-            answer.user_interrupt = effort.over
-        elif what == kind.kCallbackMipImprovingSolution and on_point is not None:
+        nonlocal calls
+        if what == int(_INTERRUPT):
+            calls += 1
+            answer.user_interrupt = effort.over or (effort.calls is not None and calls > effort.calls)
+        elif on_point is not None:
             on_point(np.array(said.mip_solution, dtype=np.float64))
 
     solver.setCallback(heard, None)
@@ -208,12 +205,6 @@ def _watch(solver: Any, effort: Effort, on_point: Callable[[FloatArray], None] |
 def _unwatch(solver: Any) -> None:
     for event in _EVENTS:
         solver.stopCallback(event)
-
-
-_EVENTS = (
-    highspy.cb.HighsCallbackType.kCallbackMipInterrupt,
-    highspy.cb.HighsCallbackType.kCallbackMipImprovingSolution,
-)
 
 
 def _outcome(solver: Any) -> Outcome:

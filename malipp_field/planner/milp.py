@@ -75,7 +75,6 @@ class TeamModel:
         problem: Problem,
         *,
         precision: FloatArray | None = None,
-        horizon_s: float | None = None,
         seed: int = 0,
         threads: int | None = None,
     ) -> None:
@@ -85,8 +84,6 @@ class TeamModel:
         self.classes = sorted({robot.precision for robot in problem.robots})
         self.groups: tuple[Group, ...] = ()
         self.timed = False
-        self._cuts: set[tuple[float, ...]] = set()
-        self._horizon_s = horizon_s
         for r in range(len(problem.robots)):
             self._add_robot_columns(r)
         self._add_transfer_columns()
@@ -122,7 +119,7 @@ class TeamModel:
             }
         )
         unloads = [d for d in robot.depots if d in robot.places] + [n + d for d in robot.depots]
-        columns.g.append({v: column(0, max(room, 1), integer=v < n) for v in unloads})
+        columns.g.append({v: column(0, robot.capacity, integer=v < n) for v in unloads})
         columns.t.append({v: column(0, INFINITY) for v in slots})
 
     def _add_transfer_columns(self) -> None:

@@ -1,4 +1,4 @@
-"""The independent verifier: every constraint of the paper and of the plan format, recomputed from the mission.
+"""The independent verifier: every constraint of the paper and of the plan format, recomputed.
 
 It shares no code with the solvers. Legs are measured along the mission's edges, J is evaluated in the
 estimator form over the nodes sampled, custody and times are followed stop by stop. What is the caller's
@@ -21,7 +21,7 @@ from malipp_field.mission import Mission, TeamState, initial_state, locate, node
 from malipp_field.plan import Objective, Plan
 from malipp_field.planner.verify_case import TOLERANCE, Case, Violation, above, differs
 from malipp_field.planner.verify_custody import handoff_rules, visit_rules
-from malipp_field.planner.verify_routes import energy_budget, route_energy_j, route_rules
+from malipp_field.planner.verify_routes import Leg, legs_of, route_energy_j, route_rules
 
 __all__ = ["Violation", "check", "verify"]
 
@@ -41,12 +41,13 @@ def verify(mission: Mission, plan: Plan, state: TeamState | None = None) -> list
     """
     case = Case(mission, plan, state or initial_state(mission))
     found = [*_status(case), *_entries(case)]
-    for route in case.routes:
-        found += [*route_rules(case, route), *energy_budget(case, route)]
+    legs = [legs_of(case, route) for route in case.routes]
+    for route, its_legs in zip(case.routes, legs, strict=True):
+        found += route_rules(case, route, its_legs)
         found += [fault for visit in route for fault in visit_rules(case, visit)]
     found += handoff_rules(case)
     if plan.objective is not None:
-        found += [*_objective(case, plan.objective), *_bound(plan, plan.objective)]
+        found += [*_objective(case, plan.objective, legs), *_bound(plan, plan.objective)]
     return found
 
 
@@ -94,13 +95,13 @@ def _entries(case: Case) -> Iterator[Violation]:
             yield Violation("format:robots", robot, None, f"has {entries[robot]} entries, one is needed")
 
 
-def _objective(case: Case, stated: Objective) -> Iterator[Violation]:
+def _objective(case: Case, stated: Objective, legs: list[list[Leg | None]]) -> Iterator[Violation]:
     information = _information(case)
     # J is a sum of prior variances less what is known: its rounding is in proportion to the prior
     prior = case.mission.field.kernel.variance * sum(t.weight for t in case.mission.field.test_points)
     if abs(stated.information - information) > TOLERANCE * prior:
         yield _about("eq:llse_objective", f"information is {stated.information:.9g}, J is {information:.9g}")
-    energies = [route_energy_j(case, route) for route in case.routes]
+    energies = [route_energy_j(case, its_legs) for its_legs in legs]
     known = [energy_j for energy_j in energies if energy_j is not None]
     if len(known) == len(energies) and differs(stated.energy_j, sum(known)):
         yield _about("eq:total_energy", f"energy_j is {stated.energy_j:.9g}, the legs take {sum(known):.9g}")
@@ -152,7 +153,7 @@ def _precision(case: Case) -> dict[str, float]:
         for node, count in robot.collected.items():
             precision[node] += count / case.team[robot.id].noise_variance
     for visit in case.visits():
-        if visit.stop.collect and visit.stop.node in case.roles:
+        if visit.stop.collect and case.roles.get(visit.stop.node) == "candidate":
             precision[visit.stop.node] += visit.stop.collect / visit.robot.noise_variance
     return precision
 

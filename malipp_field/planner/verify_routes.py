@@ -15,10 +15,21 @@ from malipp_field.planner.verify_case import Case, Violation, Visit, above, diff
 
 @dataclass(frozen=True)
 class Leg:
-    """The way to one stop, as its path says: alpha in joules for each kilogram, and travel time tau."""
+    """The way to one stop, as its path says.
+
+    Attributes
+    ----------
+    energy_per_kg
+        alpha of the path, in joules for each kilogram.
+    least_energy_per_kg
+        alpha of a minimum-energy path between its ends, which is what an arc of the closure is.
+    time_s
+        Travel time tau.
+    """
 
     visit: Visit
     energy_per_kg: float
+    least_energy_per_kg: float
     time_s: float
 
     def energy_j(self, sample_mass_kg: float) -> float:
@@ -26,78 +37,76 @@ class Leg:
         return self.energy_per_kg * (self.visit.robot.empty_mass_kg + sample_mass_kg * self.visit.load_in)
 
 
-class Roads:
-    """What one robot can drive: its passages, and the least energy between any two nodes.
+def legs_of(case: Case, route: list[Visit]) -> list[Leg | None]:
+    """Return the legs of a route, one for each stop after the first; None where no path can be driven."""
+    roads = {(p.tail, p.head): p for p in passages(case.mission, route[0].robot.id)}
+    index = {node: i for i, node in enumerate(case.roles)}
+    least = _least_energies(roads, index)
+    return [_leg_to(visit, roads, index, least) for visit in route[1:]]
 
-    The least energies are by Floyd and Warshall's recursion, so as to share nothing with the planner's
-    shortest paths.
+
+def _least_energies(roads: dict[tuple[str, str], Passage], index: dict[str, int]) -> NDArray[np.float64]:
+    """Return alpha between any two nodes by the recursion of Floyd and Warshall.
+
+    Not the shortest paths the planner uses, so that a fault in either shows.
     """
-
-    def __init__(self, case: Case, robot_id: str) -> None:
-        self._index = {node: i for i, node in enumerate(case.roles)}
-        self._passages: dict[tuple[str, str], Passage] = {
-            (p.tail, p.head): p for p in passages(case.mission, robot_id)
-        }
-        self._least = self._least_energies()
-
-    def _least_energies(self) -> NDArray[np.float64]:
-        least = np.full((len(self._index), len(self._index)), np.inf)
-        np.fill_diagonal(least, 0.0)
-        for (tail, head), passage in self._passages.items():
-            least[self._index[tail], self._index[head]] = passage.energy_per_kg
-        for k in range(len(least)):
-            least = np.minimum(least, least[:, k, None] + least[None, k, :])
-        return least
-
-    def least_energy_per_kg(self, tail: str, head: str) -> float:
-        """Return alpha of a minimum-energy path, in joules for each kilogram."""
-        return float(self._least[self._index[tail], self._index[head]])
-
-    def leg(self, visit: Visit) -> Leg | None:
-        """Return the leg to a stop; None where the plan gives no path that this robot can drive."""
-        path, before = visit.stop.path, visit.before
-        if before is None or not path or (path[0], path[-1]) != (before.node, visit.stop.node):
-            return None
-        steps = list(pairwise(path))
-        if not all(step in self._passages for step in steps):
-            return None
-        passed = [self._passages[step] for step in steps]
-        return Leg(visit, sum(p.energy_per_kg for p in passed), sum(p.time_s for p in passed))
+    least = np.full((len(index), len(index)), np.inf)
+    np.fill_diagonal(least, 0.0)
+    for (tail, head), passage in roads.items():
+        least[index[tail], index[head]] = passage.energy_per_kg
+    for k in range(len(least)):
+        least = np.minimum(least, least[:, k, None] + least[None, k, :])
+    return least
 
 
-def route_rules(case: Case, route: list[Visit]) -> Iterator[Violation]:
-    """Yield what is wrong with the stops and times of one robot, and with its legs as they are written."""
+def _leg_to(
+    visit: Visit,
+    roads: dict[tuple[str, str], Passage],
+    index: dict[str, int],
+    least: NDArray[np.float64],
+) -> Leg | None:
+    path, before = visit.stop.path, visit.before
+    if before is None or not path or (path[0], path[-1]) != (before.node, visit.stop.node):
+        return None
+    steps = list(pairwise(path))
+    if visit.stop.node not in index or not all(step in roads for step in steps):
+        return None
+    return Leg(
+        visit=visit,
+        energy_per_kg=sum(roads[step].energy_per_kg for step in steps),
+        least_energy_per_kg=float(least[index[before.node], index[visit.stop.node]]),
+        time_s=sum(roads[step].time_s for step in steps),
+    )
+
+
+def route_rules(case: Case, route: list[Visit], legs: list[Leg | None]) -> Iterator[Violation]:
+    """Yield what is wrong with the stops, legs, times and energy of one robot."""
     yield from _start(case, route[0])
     yield from _stops(case, route)
     yield from _end(route)
-    roads = Roads(case, route[0].robot.id)
-    for visit in route[1:]:
-        leg = roads.leg(visit)
-        yield from _written(visit)
-        if leg is None:
+    for visit, leg in zip(route[1:], legs, strict=True):
+        if None in {visit.stop.path, visit.stop.arrive_s, visit.stop.leg_energy_j}:
             yield visit.breaks(
-                "format:path", "no path that this robot can drive leads here from the stop before"
+                "format:stop", "every stop after the first has path, arrive_s and leg_energy_j"
             )
-        elif visit.stop.node in case.roles:
-            yield from _leg(case, roads, leg)
-
-
-def route_energy_j(case: Case, route: list[Visit]) -> float | None:
-    """Return the energy of a route, recomputed; None where a leg cannot be driven."""
-    roads = Roads(case, route[0].robot.id)
-    legs = [roads.leg(visit) for visit in route[1:]]
-    energies = [leg.energy_j(case.mission.team.sample_mass_kg) for leg in legs if leg is not None]
-    return sum(energies) if len(energies) == len(legs) else None
-
-
-def energy_budget(case: Case, route: list[Visit]) -> Iterator[Violation]:
-    """Yield eq:energy_budget for one robot, against what the state leaves it."""
-    energy_j, begin = route_energy_j(case, route), route[0].begin
+        elif leg is None and all(end.node in case.roles for end in (visit.stop, visit.before) if end):
+            yield visit.breaks(
+                "format:path", "its path is no way from the stop before that this robot can drive"
+            )
+        if leg is not None:
+            yield from _leg(case, leg)
+    energy_j, begin = route_energy_j(case, legs), route[0].begin
     if energy_j is not None and above(energy_j, begin.energy_left_j):
         yield Violation(
             "eq:energy_budget", begin.id, None,
             f"the route takes {energy_j:.6g} J, there are {begin.energy_left_j:.6g} J",
         )  # fmt: skip
+
+
+def route_energy_j(case: Case, legs: list[Leg | None]) -> float | None:
+    """Return the energy of a route, recomputed; None where a leg cannot be driven."""
+    known = [leg.energy_j(case.mission.team.sample_mass_kg) for leg in legs if leg is not None]
+    return sum(known) if len(known) == len(legs) else None
 
 
 def _start(case: Case, first: Visit) -> Iterator[Violation]:
@@ -144,19 +153,13 @@ def _end(route: list[Visit]) -> Iterator[Violation]:
         yield last.breaks("subsec:routing", "the terminal copy of a depot has no leg from the depot itself")
 
 
-def _written(visit: Visit) -> Iterator[Violation]:
-    if None in {visit.stop.path, visit.stop.arrive_s, visit.stop.leg_energy_j}:
-        yield visit.breaks("format:stop", "every stop after the first has path, arrive_s and leg_energy_j")
-
-
-def _leg(case: Case, roads: Roads, leg: Leg) -> Iterator[Violation]:
+def _leg(case: Case, leg: Leg) -> Iterator[Violation]:
     visit, stop, before = leg.visit, leg.visit.stop, leg.visit.before
     assert before is not None
-    least = roads.least_energy_per_kg(before.node, stop.node)
-    if above(leg.energy_per_kg, least):
+    if above(leg.energy_per_kg, leg.least_energy_per_kg):
         yield visit.breaks(
             "subsec:setting",
-            f"the path takes {leg.energy_per_kg:.6g} J/kg, the cheapest takes {least:.6g} J/kg",
+            f"the path takes {leg.energy_per_kg:.6g} J/kg, the cheapest {leg.least_energy_per_kg:.6g} J/kg",
         )
     energy_j = leg.energy_j(case.mission.team.sample_mass_kg)
     if stop.leg_energy_j is not None and differs(stop.leg_energy_j, energy_j):

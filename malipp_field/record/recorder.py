@@ -15,11 +15,15 @@ from malipp_field.bus.messages import (
     MissionText,
     PlanAdopted,
     Telemetry,
+    presence_key,
     root,
     vehicle_key,
 )
 from malipp_field.bus.session import Bus
 from malipp_field.record.writer import RunWriter
+
+RECORDER_PRESENCE = "recorder"
+"""Under this name the recorder is present on the bus (`presence_key`)."""
 
 FLUSH_INTERVAL_S = 0.5
 """Wall time between two flushes. With the disk's own time to write, a power cut costs less than a second."""
@@ -81,6 +85,8 @@ class Recorder:
         }
         for key, kind in keys.items():
             await self._bus.subscribe(key, kind, self._record)
+        # Last: whoever sees it can be sure that what it says now is written down.
+        await self._bus.present(presence_key(self._mission, RECORDER_PRESENCE))
 
     def _record(self, key: str, message: Message) -> None:
         if not self._writer.closed:

@@ -50,7 +50,8 @@ _LEVELS = {"info": Log.INFO, "warning": Log.WARNING, "error": Log.ERROR}
 
 def to_ns(time_s: float) -> int:
     """Return seconds since the Unix epoch as MCAP counts them: whole nanoseconds."""
-    return round(time_s * 1e9)
+    whole_s = int(time_s // 1)
+    return whole_s * 10**9 + round((time_s - whole_s) * 1e9)
 
 
 class RunWriter:

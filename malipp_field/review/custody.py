@@ -51,3 +51,12 @@ def custody_over_time(run: Run) -> Iterator[tuple[Confirmation, Custody]]:
         if said.ok and said.action not in (Action.DRIVE, Action.WAIT):
             custody.take_in(said)
             yield said, custody
+
+
+def loads(run: Run, robot: str) -> list[tuple[float, int]]:
+    """Return (seconds since the Unix epoch, samples on board) after every payload action of a robot."""
+    return [
+        (said.time_s, custody.on_board[robot])
+        for said, custody in custody_over_time(run)
+        if said.robot == robot
+    ]

@@ -91,3 +91,15 @@ def _observation(run: Run, said: Confirmation) -> Observation:
     x_m, y_m = node_positions(run.mission)[said.node]
     value = 0.0 if said.value is None else said.value
     return Observation(x_m, y_m, value, run.mission.robot(said.robot).noise_variance)
+
+
+def value_ranges(images: list[Estimate]) -> dict[str, tuple[float, float]]:
+    """Return the range of values over all images of ``mean`` (where there is one) and ``std``.
+
+    One range for the whole mission, so that a colour means the same at every moment.
+    """
+    means = [estimate.mean for estimate in images if estimate.mean is not None]
+    ranges = {"std": (0.0, float(max(estimate.std.max() for estimate in images)))}
+    if means:
+        ranges["mean"] = (float(min(m.min() for m in means)), float(max(m.max() for m in means)))
+    return ranges

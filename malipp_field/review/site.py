@@ -7,15 +7,17 @@ that mirrors y for display: north is up, and the numbers below ``site`` stay tho
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import rerun as rr
+from shapely.geometry import Polygon
 
-from malipp_field.field import FloatArray
 from malipp_field.mission import Mission, keep_out_polygons, node_positions
 
 Color = tuple[int, int, int]
+Position = tuple[float, float]
 
 # Okabe and Ito's colours, which people with any colour vision can tell apart, brightened for a dark ground.
 _ROBOT_COLORS: tuple[Color, ...] = (
@@ -25,12 +27,14 @@ _ROBOT_COLORS: tuple[Color, ...] = (
 INK: Color = (205, 210, 215)
 FAINT: Color = (112, 120, 128)
 ROAD: Color = (66, 74, 82)
-KEEP_OUT: Color = (150, 70, 70)
+KEEP_OUT: Color = (142, 128, 122)
 BACKGROUND: Color = (16, 20, 24)
 
 # Of the site's longer side: the margin around it, and the size of a candidate's marker.
-_MARGIN = 0.07
+_MARGIN = 0.1
 _MARKER = 0.008
+# In markers: keep-outs narrower than this are drawn without their names.
+_NAMED_FROM = 15.0
 
 
 @dataclass(frozen=True)
@@ -76,24 +80,39 @@ def log_site(recording: rr.RecordingStream, mission: Mission) -> None:
     recording.log("site", rr.Transform3D(scale=(1.0, -1.0, 1.0)), static=True)
     recording.log("site/roads", _roads(mission, size_m), static=True)
     recording.log("site/keep_outs", _keep_outs(mission, size_m), static=True)
-    for role, path, radius, color, named in (
-        ("via", "site/nodes/via", 0.4, ROAD, False),
-        ("start", "site/nodes/starts", 1.0, INK, True),
-        ("candidate", "site/nodes/candidates", 0.9, FAINT, True),
-    ):
+    for role, radius, color in (("via", 0.3, ROAD), ("start", 1.0, INK), ("candidate", 0.9, FAINT)):
         ids = [node.id for node in mission.site.nodes if node.role == role]
-        if ids:
-            recording.log(
-                path,
-                rr.Points2D(
-                    [places[node] for node in ids],
-                    radii=radius * size_m,
-                    colors=color,
-                    labels=ids if named else None,
-                    draw_order=20.0,
-                ),
-                static=True,
-            )
+        points = rr.Points2D(
+            [places[node] for node in ids], radii=radius * size_m, colors=color, draw_order=20.0
+        )
+        recording.log(f"site/nodes/{role}", points, static=True)
+    named = [node.id for node in mission.site.nodes if node.role in ("candidate", "start")]
+    beneath = [places[node] for node in named]
+    recording.log("site/names/nodes", names(beneath, named, INK, -1.2 * size_m), static=True)
+    outlines = {name: area for name, area in keep_out_polygons(mission).items() if _has_room(area, size_m)}
+    inside = [polygon.representative_point() for polygon in outlines.values()]
+    centres = [(point.x, point.y) for point in inside]
+    recording.log("site/names/keep_outs", names(centres, list(outlines), KEEP_OUT, 0.0), static=True)
+
+
+def names(
+    places_m: Sequence[Position], texts: Sequence[str], colors: Color | Sequence[Color], north_m: float
+) -> rr.Points2D:
+    """Return labels that stand ``north_m`` north of their places; the points themselves are not seen."""
+    return rr.Points2D(
+        [(x_m, y_m + north_m) for x_m, y_m in places_m],
+        labels=list(texts),
+        colors=colors,
+        radii=0.0,
+        show_labels=True,
+        draw_order=50.0,
+    )
+
+
+def _has_room(area: Polygon, size_m: float) -> bool:
+    """Whether a keep-out is wide enough for its name; over a small one it would hide the roads around."""
+    west, _, east, _ = area.bounds
+    return bool(east - west >= _NAMED_FROM * size_m)
 
 
 def _roads(mission: Mission, size_m: float) -> rr.LineStrips2D:
@@ -108,16 +127,5 @@ def _keep_outs(mission: Mission, size_m: float) -> rr.LineStrips2D:
         [np.array(polygon.exterior.coords) for polygon in polygons.values()],
         colors=KEEP_OUT,
         radii=0.3 * size_m,
-        labels=list(polygons),
         draw_order=6.0,
     )
-
-
-def corners(area: Frame) -> FloatArray:
-    """Return the outline of a frame, shape (5, 2)."""
-    return np.array(
-        [
-            (area.west_m, area.south_m), (area.east_m, area.south_m), (area.east_m, area.north_m),
-            (area.west_m, area.north_m), (area.west_m, area.south_m),
-        ]
-    )  # fmt: skip

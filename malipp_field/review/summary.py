@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-
 import numpy as np
 
 from malipp_field.bus.messages import Confirmation, PlanAdopted, SampleRecord
@@ -134,9 +133,7 @@ def summarise(run: Run) -> Summary:
         robots=tuple(_robot(run, robot) for robot in run.mission.team.robots),
         replans=tuple(_replan(run, adopted) for adopted in run.plans[1:]),
         samples=tuple(
-            _sample(run, record)
-            for record in sorted(records, key=lambda r: r.sample.tag)
-            if record.history
+            _sample(run, record) for record in sorted(records, key=lambda r: r.sample.tag) if record.history
         ),
     )
 
@@ -151,18 +148,26 @@ def done(run: Run, action: Action, robot: str | None = None) -> list[Confirmatio
     return list(found.values())
 
 
-def _information(run: Run) -> InformationSummary:
+def information_over_time(run: Run) -> list[tuple[float, float]]:
+    """Return (seconds since the Unix epoch, J): the prior at the start, then J after each sample."""
     model = information_model(run.mission)
     index = {node: position for position, node in enumerate(candidate_ids(run.mission))}
     precision = np.zeros(len(index))
+    course = [(run.start_s, model.prior)]
     for said in done(run, Action.COLLECT):
         precision[index[said.node]] += 1.0 / run.mission.robot(said.robot).noise_variance
+        course.append((said.time_s, model.value(precision)))
+    return course
+
+
+def _information(run: Run) -> InformationSummary:
+    course = information_over_time(run)
     planned = [_planned_information(adopted) for adopted in run.plans]
     return InformationSummary(
-        prior=model.prior,
+        prior=course[0][1],
         planned=planned[0] if planned else None,
         last_planned=planned[-1] if planned else None,
-        achieved=model.value(precision),
+        achieved=course[-1][1],
     )
 
 

@@ -10,6 +10,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from malipp_field.review.summary import Hand, RobotSummary, SampleSummary, Summary
+from malipp_field.review.timeline import clock
 from malipp_field.vehicle.steps import Action
 
 _WIDTH = 100
@@ -110,7 +111,7 @@ def _custody(summary: Summary) -> Table:
             str(sample.tag),
             escape(f"{sample.node} by {sample.sampler}, {_clock(sample.taken_s)}"),
             _number(sample.value, ".2f"),
-            escape("; ".join(_hand(hand) for hand in _between(sample))),
+            escape("\n".join(_hand(hand) for hand in _between(sample))),
             escape(_whereabouts(sample)),
         )
     return table
@@ -149,9 +150,4 @@ def _number(value: float | None, form: str, unit: str = "") -> str:
 
 
 def _clock(time_s: float | None) -> str:
-    """Return a duration as minutes and seconds, with hours where there are any."""
-    if time_s is None:
-        return _NOTHING
-    minutes, seconds = divmod(round(time_s), 60)
-    hours, minutes = divmod(minutes, 60)
-    return f"{hours}:{minutes:02}:{seconds:02}" if hours else f"{minutes}:{seconds:02}"
+    return _NOTHING if time_s is None else clock(time_s)

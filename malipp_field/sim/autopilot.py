@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -91,7 +92,6 @@ class Autopilot:
         self.internal_error = False
         self.home = self.position
         self.script = PayloadScript(self.robot.id, self._world)
-        self.store.abort()
         self.run = MissionRun(self.store, self._begin, self._completed)
         self._energy_at_boot_j = self.energy_used_j
         self._activity: Activity | None = None
@@ -183,81 +183,6 @@ class Autopilot:
             self._item_ended()
         self._time_s = max(self._time_s, now_s)
 
-    @property
-    def _active(self) -> bool:
-        """Whether the mission goes on: disarmed it does not, nor in any other mode."""
-        return self.armed and self.mode == mavlink.ROVER_MODE_AUTO
-
-    def _item_ended(self) -> None:
-        self._activity = self._leg = None
-        self.said.append(mavlink.MAVLink_mission_item_reached_message(self.run.seq))
-        self.run.item_ended()
-
-    def _completed(self) -> None:
-        self._activity = self._leg = None
-        self.say(mavlink.MAV_SEVERITY_NOTICE, "Mission Complete")
-
-    def _begin(self, item: MissionItem) -> None:
-        self._leg = None
-        match item.command:
-            case mavlink.MAV_CMD_NAV_WAYPOINT:
-                self._activity = self._visit(item, item.param1)
-            case mavlink.MAV_CMD_NAV_LOITER_TIME:
-                self._activity = self._visit(item, item.param1)
-            case mavlink.MAV_CMD_NAV_LOITER_UNLIM:
-                self._activity = self._visit(item, None)
-            case mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH:
-                self._activity = self._visit(self.home_item(), 0.0)
-            case mavlink.MAV_CMD_NAV_DELAY:
-                self._activity = Pause(self._delay_s(item))
-            case _:
-                self._activity = self._scripted(item)
-
-    def _visit(self, item: MissionItem, stay_s: float | None) -> Activity:
-        """Return driving to the item's place, saying so, and staying there."""
-        text = f"Reached waypoint #{self.run.seq}"
-        if stay_s:
-            text += f". Loiter for {stay_s:.0f} seconds"
-        target = self._world.local(item.x / 1e7, item.y / 1e7)
-        announce = Do(lambda: self.say(mavlink.MAV_SEVERITY_INFO, text))
-        return InTurn(_Travel(self, target), announce, Pause(stay_s))
-
-    def _delay_s(self, item: MissionItem) -> float:
-        """Return how long NAV_DELAY lasts: param 1, or else until a time of day (UTC), where -1 is any."""
-        if item.param1 > 0.0:
-            return item.param1
-        now = int(self._time_s) % _DAY_S
-        parts = (now // 3600, now // 60 % 60, now % 60)
-        asked = (item.param2, item.param3, item.param4)
-        hour, minute, second = (a if a >= 0 else p for a, p in zip(asked, parts, strict=True))
-        return (hour * 3600 + minute * 60 + second - now) % _DAY_S
-
-    def _scripted(self, item: MissionItem) -> Activity:
-        timeout_s = item.param2 if item.param2 > 0.0 else math.inf
-        if not self._config.has_script:
-            return Pause(timeout_s)
-        action = action_of(item)
-        if action is Action.WAIT:
-            return Pause(timeout_s)
-        if action is None:
-            return Do(lambda: self._refuse(f"MLP unknown action code {item.param1:.0f}"))
-        duration_s = self.script.duration_s(self.store.items, item.seq)
-        if duration_s > timeout_s:
-            return Pause(timeout_s)
-        known = action
-        return InTurn(Pause(duration_s), Do(lambda: self._handle(known, item.x)))
-
-    def _handle(self, action: Action, tag: int) -> bool:
-        """Carry out a payload action; the rover holds when it cannot be done, rather than drive on."""
-        if self.script.carry_out(action, tag, self.position):
-            return True
-        return self._refuse(f"Cannot {action} {tag}: holding")
-
-    def _refuse(self, text: str) -> bool:
-        self.say(mavlink.MAV_SEVERITY_ERROR, text)
-        self.set_mode(mavlink.ROVER_MODE_HOLD)
-        return False
-
     def leg_to(self, target: Position) -> Leg:
         """Return a new leg from here and set out on it."""
         self._leg = self._world.leg(self.robot.id, self.position, target)
@@ -279,6 +204,78 @@ class Autopilot:
             self.stranded = True
             self.say(mavlink.MAV_SEVERITY_EMERGENCY, "Battery empty: cannot move")
         return None
+
+    @property
+    def _active(self) -> bool:
+        """Whether the mission goes on: disarmed it does not, nor in any other mode."""
+        return self.armed and self.mode == mavlink.ROVER_MODE_AUTO
+
+    def _item_ended(self) -> None:
+        self._activity = self._leg = None
+        self.said.append(mavlink.MAVLink_mission_item_reached_message(self.run.seq))
+        self.run.item_ended()
+
+    def _completed(self) -> None:
+        self._activity = self._leg = None
+        self.say(mavlink.MAV_SEVERITY_NOTICE, "Mission Complete")
+
+    def _begin(self, item: MissionItem) -> None:
+        self._leg = None
+        match item.command:
+            case mavlink.MAV_CMD_NAV_WAYPOINT | mavlink.MAV_CMD_NAV_LOITER_TIME:
+                self._activity = self._visit(item, item.param1)
+            case mavlink.MAV_CMD_NAV_LOITER_UNLIM:
+                self._activity = self._visit(item, None)
+            case mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH:
+                self._activity = self._visit(self.home_item(), 0.0)
+            case mavlink.MAV_CMD_NAV_DELAY:
+                self._activity = Pause(self._delay_s(item))
+            case _:
+                self._activity = self._scripted(item)
+
+    def _visit(self, item: MissionItem, stay_s: float | None) -> Activity:
+        """Return driving to the item's place, saying so, and staying there."""
+        text = f"Reached waypoint #{self.run.seq}"
+        if stay_s:
+            text += f". Loiter for {stay_s:.0f} seconds"
+        target = self._world.local(item.x / 1e7, item.y / 1e7)
+        announce = Do(partial(self.say, mavlink.MAV_SEVERITY_INFO, text))
+        return InTurn(_Travel(self, target), announce, Pause(stay_s))
+
+    def _delay_s(self, item: MissionItem) -> float:
+        """Return how long NAV_DELAY lasts: param 1, or else until a time of day (UTC), where -1 is any."""
+        if item.param1 > 0.0:
+            return item.param1
+        now = int(self._time_s) % _DAY_S
+        parts = (now // 3600, now // 60 % 60, now % 60)
+        asked = (item.param2, item.param3, item.param4)
+        hour, minute, second = (a if a >= 0 else p for a, p in zip(asked, parts, strict=True))
+        return (hour * 3600 + minute * 60 + second - now) % _DAY_S
+
+    def _scripted(self, item: MissionItem) -> Activity:
+        timeout_s = item.param2 if item.param2 > 0.0 else math.inf
+        if not self._config.has_script:
+            return Pause(timeout_s)
+        action = action_of(item)
+        if action is Action.WAIT:
+            return Pause(timeout_s)
+        if action is None:
+            return Do(partial(self._refuse, f"MLP unknown action code {item.param1:.0f}"))
+        duration_s = self.script.duration_s(self.store.items, item.seq)
+        if duration_s > timeout_s:
+            return Pause(timeout_s)
+        return InTurn(Pause(duration_s), Do(partial(self._handle, action, item.x)))
+
+    def _handle(self, action: Action, tag: int) -> bool:
+        """Carry out a payload action; the rover holds when it cannot be done, rather than drive on."""
+        if self.script.carry_out(action, tag, self.position):
+            return True
+        return self._refuse(f"Cannot {action} {tag}: holding")
+
+    def _refuse(self, text: str) -> bool:
+        self.say(mavlink.MAV_SEVERITY_ERROR, text)
+        self.set_mode(mavlink.ROVER_MODE_HOLD)
+        return False
 
 
 class _Travel:

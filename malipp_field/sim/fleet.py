@@ -147,9 +147,11 @@ class _Radio(asyncio.DatagramProtocol):
         if self._transport is None or self._transport.is_closing():
             return
         now_s = asyncio.get_running_loop().time()
-        recent = [peer for peer, heard_s in self._heard_s.items() if now_s - heard_s <= PEER_TIMEOUT_S]
+        self._heard_s = {
+            p: heard_s for p, heard_s in self._heard_s.items() if now_s - heard_s <= PEER_TIMEOUT_S
+        }
         for peer, message in outbox:
-            to = recent if peer is None else [cast(Address, peer)]
+            to = list(self._heard_s) if peer is None else [cast(Address, peer)]
             if to:
                 packet = message.pack(self._packer)
                 self._packer.seq = (self._packer.seq + 1) % 256

@@ -46,6 +46,8 @@ class Rover:
         messages takes them out.
     autopilot : Autopilot
         Where it is and what it does.
+    peers : dict of Sender to peer
+        Where each system that was heard is to be reached.
     """
 
     def __init__(
@@ -67,7 +69,7 @@ class Rover:
             mavlink.MAV_MISSION_TYPE_FENCE: MissionStore(mavlink.MAV_MISSION_TYPE_FENCE),
             mavlink.MAV_MISSION_TYPE_RALLY: MissionStore(mavlink.MAV_MISSION_TYPE_RALLY),
         }
-        self._peers: dict[Sender, Peer] = {}
+        self.peers: dict[Sender, Peer] = {}
 
     def reboot(self, now_s: float) -> None:
         """Restart the autopilot; stored missions and parameters survive."""
@@ -81,7 +83,7 @@ class Rover:
         for store in self._stores.values():
             for message in store.poll(now_s):
                 to = Sender(message.target_system, message.target_component)
-                self.outbox.append((self._peers[to], message))
+                self.outbox.append((self.peers[to], message))
         self._broadcast(self.autopilot.said)
         self.autopilot.said = []
         for text in self.autopilot.script.due(now_s):
@@ -94,7 +96,7 @@ class Rover:
             return
         self.step(now_s)
         sender = Sender(message.get_srcSystem(), message.get_srcComponent())
-        self._peers[sender] = peer
+        self.peers[sender] = peer
         for answer in self._answers(message, sender, now_s):
             self.outbox.append((peer, answer))
         self.step(now_s)

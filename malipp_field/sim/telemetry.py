@@ -90,7 +90,9 @@ class Telemetry:
         messages = []
         for message_id, due_s in self._due_s.items():
             if due_s <= now_s:
-                self._due_s[message_id] = now_s + self._intervals_s[message_id]
+                interval_s = self._intervals_s[message_id]
+                # On its beat, so that coarse steps do not slow the rate; after a gap it begins anew.
+                self._due_s[message_id] = (due_s if now_s - due_s < interval_s else now_s) + interval_s
                 messages.append(self._builders[message_id](now_s))
         return messages
 

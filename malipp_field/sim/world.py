@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 import math
 from dataclasses import dataclass
@@ -74,10 +75,12 @@ class World:
         self._containers: dict[int, _Container] = {}
         self._done: dict[tuple[str, Action, int], tuple[Position, Outcome]] = {}
         self._reach_m = _reach_m(list(self.places.values()))
+        # The conversion costs more than all else in telemetry; a rover that stands asks the same again.
+        self._to_globe = functools.lru_cache(maxsize=1024)(to_globe)
 
     def globe(self, place: Position) -> tuple[float, float]:
         """Return (latitude, longitude) in degrees."""
-        return to_globe(*place, self.origin)
+        return self._to_globe(*place, self.origin)
 
     def local(self, lat_deg: float, lon_deg: float) -> Position:
         """Return (east, north) in metres; the exact position of a node where there is one on the spot."""

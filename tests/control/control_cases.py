@@ -26,6 +26,7 @@ site:
 field:
   kernel: {family: rbf, length_scale_m: 50}
   test_points: [{x_m: 200, y_m: 10}]
+replanning: {stall_s: 120}
 team:
   sample_mass_kg: 2.0
   service_time_s: 10.0

@@ -9,8 +9,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from malipp_field.mission import (
-    ABSTRACT_ORIGIN, Mission, Passage, initial_state, keep_out_polygons, locate, node_positions, parse_mission,
-    passages, to_globe, to_local,
+    ABSTRACT_ORIGIN,
+    Mission,
+    Passage,
+    initial_state,
+    keep_out_polygons,
+    locate,
+    node_positions,
+    parse_mission,
+    passages,
+    to_globe,
+    to_local,
 )  # fmt: skip
 from malipp_field.mission.schema import Origin, Place
 
@@ -31,10 +40,10 @@ field: {{kernel: {{family: rbf, length_scale_m: 20.0}}, test_points: [{{x_m: 10.
 team:
   sample_mass_kg: 2.0
   robots:
-    - {{id: scout, start: base, depots: [base], empty_mass_kg: 20.0, energy_budget_j: 1000.0, payload_capacity: 2,
-       samples_per_node: 1, noise_variance: 0.1, energy_per_kg_m: 3.0, speed_m_s: 2.0}}
-    - {{id: carrier, start: base, depots: [base], empty_mass_kg: 90.0, energy_budget_j: 9000.0, payload_capacity: 8,
-       samples_per_node: 0, noise_variance: 1.0, energy_per_kg_m: 2.0, speed_m_s: 1.0}}
+    - {{id: scout, start: base, depots: [base], empty_mass_kg: 20.0, energy_budget_j: 1000.0,
+       payload_capacity: 2, samples_per_node: 1, noise_variance: 0.1, energy_per_kg_m: 3.0, speed_m_s: 2.0}}
+    - {{id: carrier, start: base, depots: [base], empty_mass_kg: 90.0, energy_budget_j: 9000.0,
+       payload_capacity: 8, samples_per_node: 0, noise_variance: 1.0, energy_per_kg_m: 2.0, speed_m_s: 1.0}}
 """
 POND = """\
   complete: true
@@ -106,7 +115,7 @@ def test_a_minute_of_latitude_is_a_nautical_mile() -> None:
 
 
 def test_a_place_in_degrees_needs_an_origin() -> None:
-    with pytest.raises(ValueError, match="needs site.origin"):
+    with pytest.raises(ValueError, match=r"needs site\.origin"):
         locate(Place(lat_deg=1.0, lon_deg=2.0), None)
 
 

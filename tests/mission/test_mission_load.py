@@ -6,8 +6,10 @@ from pathlib import Path
 
 import pytest
 
+from malipp_field.documents import parse_document
 from malipp_field.errors import InputError
 from malipp_field.mission import parse_mission, read_mission
+from malipp_field.mission.schema import PlannerOptions, Replanning, Simulation
 
 VALID = """\
 format: malipp-mission/1
@@ -36,10 +38,10 @@ field:
 team:
   sample_mass_kg: 2.0
   robots:
-    - {id: scout, start: start, depots: [base], empty_mass_kg: 20.0, energy_budget_j: 1000.0, payload_capacity: 2,
-       samples_per_node: 1, noise_variance: 0.1, energy_per_kg_m: 3.0, speed_m_s: 1.0}
-    - {id: carrier, start: base, depots: [base], empty_mass_kg: 90.0, energy_budget_j: 9000.0, payload_capacity: 8,
-       samples_per_node: 0, noise_variance: 1.0, energy_per_kg_m: 3.0, speed_m_s: 1.0}
+    - {id: scout, start: start, depots: [base], empty_mass_kg: 20.0, energy_budget_j: 1000.0,
+       payload_capacity: 2, samples_per_node: 1, noise_variance: 0.1, energy_per_kg_m: 3.0, speed_m_s: 1.0}
+    - {id: carrier, start: base, depots: [base], empty_mass_kg: 90.0, energy_budget_j: 9000.0,
+       payload_capacity: 8, samples_per_node: 0, noise_variance: 1.0, energy_per_kg_m: 3.0, speed_m_s: 1.0}
 simulation:
   terrain: [{x_m: 1.0, y_m: 2.0, radius_m: 3.0}]
 """
@@ -68,37 +70,157 @@ def test_the_valid_mission_and_its_defaults() -> None:
         ("name: test", "name: 'no good'", 2, "name", "should match pattern"),
         ("name: test\n", "", None, "name", "is missing"),
         ("team:", "teams:", 24, "teams", "unknown key; did you mean 'team'?"),
-        ("  origin: {lat_deg: 52.48,", "  origin: {lat_deg: 92.48,", 4, "site.origin.lat_deg", "less than or equal to 90"),
-        ("    - {id: a1, x_m: 30.0,", "    - {id: a1, x_m: far,", 8, "site.nodes[2].x_m", "expected a number, found 'far'"),
-        ("{id: a1, x_m: 30.0, y_m: 0.0}", "{id: a1, x_m: 30.0}", 8, "site.nodes[2]", "either x_m and y_m, or lat_deg"),
-        ("{id: a1, x_m: 30.0,", "{id: a1, lat_deg: 52.0, x_m: 30.0,", 8, "site.nodes[2]", "either x_m and y_m, or"),
+        (
+            "  origin: {lat_deg: 52.48,",
+            "  origin: {lat_deg: 92.48,",
+            4,
+            "site.origin.lat_deg",
+            "less than or equal to 90",
+        ),
+        (
+            "    - {id: a1, x_m: 30.0,",
+            "    - {id: a1, x_m: far,",
+            8,
+            "site.nodes[2].x_m",
+            "expected a number, found 'far'",
+        ),
+        (
+            "{id: a1, x_m: 30.0, y_m: 0.0}",
+            "{id: a1, x_m: 30.0}",
+            8,
+            "site.nodes[2]",
+            "either x_m and y_m, or lat_deg",
+        ),
+        (
+            "{id: a1, x_m: 30.0,",
+            "{id: a1, lat_deg: 52.0, x_m: 30.0,",
+            8,
+            "site.nodes[2]",
+            "either x_m and y_m, or",
+        ),
         ("role: via", "role: shop", 10, "site.nodes[4].role", "'candidate', 'depot', 'start' or 'via'"),
         ("{id: a2,", "{id: a1,", 9, "site.nodes[3].id", "node 'a1' is given already by nodes[2]"),
-        ("{id: a2,", "{id: a2, color: red,", 9, "site.nodes[3].color", "unknown key; known here: x_m, y_m, lat_deg"),
+        (
+            "{id: a2,",
+            "{id: a2, color: red,",
+            9,
+            "site.nodes[3].color",
+            "unknown key; known here: x_m, y_m, lat_deg",
+        ),
         ("to: base}", "to: bse}", 12, "site.edges[0].to", "unknown node 'bse'; did you mean 'base'?"),
-        ("{from: base, to: a1}", "{from: a1, to: a1}", 13, "site.edges[1].to", "two different nodes, found 'a1' twice"),
-        ("{from: v1, to: a2}", "{from: a1, to: base}", 16, "site.edges[4]", "edge a1 to base is given already by edges[1]"),
-        ("energy_factor: {carrier", "energy_factor: {carier", 14, "site.edges[2].energy_factor.carier", "did you mean 'carrier'"),
-        ("speed_factor: {carrier: 0.5}", "speed_factor: {carrier: 0.0}", 14, "site.edges[2].speed_factor.carrier", "greater than 0"),
-        ("closed_to: [scout]", "closed_to: [snout]", 14, "site.edges[2].closed_to[0]", "unknown robot 'snout'; did you mean 'scout'?"),
+        (
+            "{from: base, to: a1}",
+            "{from: a1, to: a1}",
+            13,
+            "site.edges[1].to",
+            "two different nodes, found 'a1' twice",
+        ),
+        (
+            "{from: v1, to: a2}",
+            "{from: a1, to: base}",
+            16,
+            "site.edges[4]",
+            "a1 to base is given already by edges[1]",
+        ),
+        (
+            "energy_factor: {carrier",
+            "energy_factor: {carier",
+            14,
+            "site.edges[2].energy_factor.carier",
+            "did you mean 'carrier'",
+        ),
+        (
+            "speed_factor: {carrier: 0.5}",
+            "speed_factor: {carrier: 0.0}",
+            14,
+            "site.edges[2].speed_factor.carrier",
+            "greater than 0",
+        ),
+        (
+            "closed_to: [scout]",
+            "closed_to: [snout]",
+            14,
+            "site.edges[2].closed_to[0]",
+            "unknown robot 'snout'; did you mean 'scout'?",
+        ),
         ("length_m: 50.0", "length_m: -1.0", 15, "site.edges[3].length_m", "greater than 0, found -1.0"),
-        ("{x_m: 45.0, y_m: 10.0}]", "{x_m: 45.0, y_m: -5.0}]", 14, "site.edges[2]", "a1 to a2 crosses keep-out 'pond'; lead it round"),
+        (
+            "{x_m: 45.0, y_m: 10.0}]",
+            "{x_m: 45.0, y_m: -5.0}]",
+            14,
+            "site.edges[2]",
+            "a1 to a2 crosses keep-out 'pond'; lead it round",
+        ),
         (", {x_m: 45.0, y_m: 10.0}]", "]", 19, "site.keep_outs[0].polygon", "at least 3 items"),
-        ("{x_m: 45.0, y_m: 10.0}]", "{x_m: 40.0, y_m: 10.0}, {x_m: 50.0, y_m: 10.0}]", 19, "site.keep_outs[0].polygon", "'pond' crosses itself"),
+        (
+            "{x_m: 45.0, y_m: 10.0}]",
+            "{x_m: 40.0, y_m: 10.0}, {x_m: 50.0, y_m: 10.0}]",
+            19,
+            "site.keep_outs[0].polygon",
+            "'pond' crosses itself",
+        ),
         ("family: rbf", "family: cubic", 21, "field.kernel.family", "'rbf', 'matern32' or 'matern52'"),
         ("length_scale_m: 20.0", "length_scale_m: 0.0", 21, "field.kernel.length_scale_m", "greater than 0"),
         ("    - {x_m: 10.0, y_m: 10.0}", "    []", 22, "field.test_points", "at least 1 item"),
-        ("sample_mass_kg: 2.0", "sample_mass_kg: .nan", 25, "team.sample_mass_kg", "expected a finite number, found nan"),
-        ("start: start,", "start: stat,", 27, "team.robots[0].start", "unknown node 'stat'; did you mean 'start'?"),
-        ("depots: [base], empty_mass_kg: 20", "depots: [a1], empty_mass_kg: 20", 27, "team.robots[0].depots[0]", "has role candidate, a depot is needed"),
-        ("depots: [base], empty_mass_kg: 20", "depots: [], empty_mass_kg: 20", 27, "team.robots[0].depots", "at least 1 item"),
-        ("depots: [base], empty_mass_kg: 20", "depots: [base, base], empty_mass_kg: 20", 27, "team.robots[0].depots", "the same depot is listed twice"),
-        ("payload_capacity: 2,", "payload_capacity: 2.5,", 27, "team.robots[0].payload_capacity", "expected a whole number, found 2.5"),
+        (
+            "sample_mass_kg: 2.0",
+            "sample_mass_kg: .nan",
+            25,
+            "team.sample_mass_kg",
+            "expected a finite number, found nan",
+        ),
+        (
+            "start: start,",
+            "start: stat,",
+            27,
+            "team.robots[0].start",
+            "unknown node 'stat'; did you mean 'start'?",
+        ),
+        (
+            "depots: [base], empty_mass_kg: 20",
+            "depots: [a1], empty_mass_kg: 20",
+            27,
+            "team.robots[0].depots[0]",
+            "has role candidate, a depot is needed",
+        ),
+        (
+            "depots: [base], empty_mass_kg: 20",
+            "depots: [], empty_mass_kg: 20",
+            27,
+            "team.robots[0].depots",
+            "at least 1 item",
+        ),
+        (
+            "depots: [base], empty_mass_kg: 20",
+            "depots: [base, base], empty_mass_kg: 20",
+            27,
+            "team.robots[0].depots",
+            "the same depot is listed twice",
+        ),
+        (
+            "payload_capacity: 2,",
+            "payload_capacity: 2.5,",
+            28,
+            "team.robots[0].payload_capacity",
+            "expected a whole number, found 2.5",
+        ),
         ("noise_variance: 0.1,", "", 27, "team.robots[0].noise_variance", "is missing"),
-        ("{id: carrier,", "{id: scout,", 14, "site.edges[2].energy_factor.carrier", "unknown robot 'carrier'"),
-        ("terrain: [{x_m: 1.0,", "terrain: [{lat_deg: 1.0,", 32, "simulation.terrain[0]", "either x_m and y_m"),
+        (
+            "{id: carrier,",
+            "{id: scout,",
+            14,
+            "site.edges[2].energy_factor.carrier",
+            "unknown robot 'carrier'",
+        ),
+        (
+            "terrain: [{x_m: 1.0,",
+            "terrain: [{lat_deg: 1.0,",
+            32,
+            "simulation.terrain[0]",
+            "either x_m and y_m",
+        ),
     ],
-)  # fmt: skip
+)
 def test_each_fault_has_its_line_key_and_hint(
     old: str, new: str, line: int | None, key: str, words: str
 ) -> None:
@@ -190,3 +312,16 @@ def test_the_quarry_is_what_its_comments_say() -> None:
         1,
     )
     assert mission.planner.energy_reserve > 0
+
+
+def test_the_optional_sections_are_documented_with_their_defaults() -> None:
+    text = (MISSIONS.parent / "docs" / "formats.md").read_text()
+    blocks = [parse_document(part.split("```")[0], "formats.md").data for part in text.split("```yaml\n")[1:]]
+    planner, optional = blocks[0]["planner"], blocks[1]
+    optional["simulation"].pop("terrain")
+    assert PlannerOptions.model_validate(planner) == PlannerOptions()
+    assert set(planner) == set(PlannerOptions.model_fields)
+    assert Replanning.model_validate(optional["replanning"]) == Replanning()
+    assert set(optional["replanning"]) == set(Replanning.model_fields)
+    assert Simulation.model_validate(optional["simulation"]) == Simulation()
+    assert {*optional["simulation"], "terrain"} == set(Simulation.model_fields)

@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from malipp_field.errors import InputError
@@ -60,6 +60,7 @@ plans = st.builds(
 )  # fmt: skip
 
 
+@settings(deadline=None)
 @given(plans)
 def test_what_is_written_is_read_back(plan: Plan) -> None:
     assert parse_plan(plan_text(plan)) == plan
@@ -94,17 +95,47 @@ def test_a_file_that_cannot_be_written(tmp_path: Path) -> None:
     ("old", "new", "line", "key", "words"),
     [
         ("malipp-plan/1", "malipp-plan/2", 1, "format", "'malipp-plan/1'"),
-        ('"status": "optimal"', '"status": "best"', 1, "status", "'optimal', 'feasible', 'infeasible' or 'no_plan'"),
+        (
+            '"status": "optimal"',
+            '"status": "best"',
+            1,
+            "status",
+            "'optimal', 'feasible', 'infeasible' or 'no_plan'",
+        ),
         ('"energy_j": 71.2, ', "", 2, "objective.energy_j", "is missing"),
         ('"seed": 0', '"seed": 0.5', 3, "seed", "expected a whole number, found 0.5"),
         ('"seed": 0', '"sead": 0', 3, "sead", "did you mean 'seed'?"),
-        ('"depart_s": 0.0', '"depart_s": "noon"', 6, "robots[0].route[0].depart_s", "expected a number, found 'noon'"),
+        (
+            '"depart_s": 0.0',
+            '"depart_s": "noon"',
+            6,
+            "robots[0].route[0].depart_s",
+            "expected a number, found 'noon'",
+        ),
         ('"collect": 1', '"collect": -1', 8, "robots[0].route[1].collect", "greater than or equal to 0"),
-        ('{"carrier": 1}', '{"carrier": 0}', 8, "robots[0].route[1].drop.carrier", "greater than or equal to 1"),
-        ('"path": ["a1", "base"]', '"path": "a1"', 9, "robots[0].route[2].path", "expected a list, found 'a1'"),
-        ('"solve_time_s": 12.3', '"solve_time_s": .inf', 3, "solve_time_s", "expected a finite number, found inf"),
+        (
+            '{"carrier": 1}',
+            '{"carrier": 0}',
+            8,
+            "robots[0].route[1].drop.carrier",
+            "greater than or equal to 1",
+        ),
+        (
+            '"path": ["a1", "base"]',
+            '"path": "a1"',
+            9,
+            "robots[0].route[2].path",
+            "expected a list, found 'a1'",
+        ),
+        (
+            '"solve_time_s": 12.3',
+            '"solve_time_s": .inf',
+            3,
+            "solve_time_s",
+            "expected a finite number, found inf",
+        ),
     ],
-)  # fmt: skip
+)
 def test_bad_plans(old: str, new: str, line: int, key: str, words: str) -> None:
     assert EXAMPLE.count(old) == 1
     with pytest.raises(InputError) as caught:

@@ -92,9 +92,11 @@ site:
     - {from: e5, to: e3}
   keep_outs:
     - id: north-pit
-      polygon: [{x_m: 57, y_m: 40}, {x_m: 77, y_m: 41}, {x_m: 80, y_m: 66}, {x_m: 64, y_m: 74}, {x_m: 53, y_m: 62}]
+      polygon: [{x_m: 57, y_m: 40}, {x_m: 77, y_m: 41}, {x_m: 80, y_m: 66}, {x_m: 64, y_m: 74},
+                {x_m: 53, y_m: 62}]
     - id: south-pit
-      polygon: [{x_m: 56, y_m: -4}, {x_m: 74, y_m: -6}, {x_m: 79, y_m: 14}, {x_m: 66, y_m: 22}, {x_m: 54, y_m: 15}]
+      polygon: [{x_m: 56, y_m: -4}, {x_m: 74, y_m: -6}, {x_m: 79, y_m: 14}, {x_m: 66, y_m: 22},
+                {x_m: 54, y_m: 15}]
 field:
   kernel: {family: matern52, length_scale_m: 26.0, variance: 1.0}
   test_points:
@@ -109,12 +111,12 @@ team:
   service_time_s: 4.0
   clearance_s: 2.0
   robots:
-    - {id: lark, start: base, depots: [base], empty_mass_kg: 4.0, energy_budget_j: 1400.0, payload_capacity: 4,
-       samples_per_node: 1, noise_variance: 0.02, energy_per_kg_m: 1.0, speed_m_s: 1.6}
-    - {id: kite, start: camp, depots: [camp], empty_mass_kg: 4.0, energy_budget_j: 1200.0, payload_capacity: 3,
-       samples_per_node: 1, noise_variance: 0.02, energy_per_kg_m: 1.0, speed_m_s: 1.6}
-    - {id: mule, start: base, depots: [base, camp], empty_mass_kg: 12.0, energy_budget_j: 6500.0, payload_capacity: 6,
-       samples_per_node: 1, noise_variance: 0.2, energy_per_kg_m: 1.0, speed_m_s: 1.4}
+    - {id: lark, start: base, depots: [base], empty_mass_kg: 4.0, energy_budget_j: 1400.0,
+       payload_capacity: 4, samples_per_node: 1, noise_variance: 0.02, energy_per_kg_m: 1.0, speed_m_s: 1.6}
+    - {id: kite, start: camp, depots: [camp], empty_mass_kg: 4.0, energy_budget_j: 1200.0,
+       payload_capacity: 3, samples_per_node: 1, noise_variance: 0.02, energy_per_kg_m: 1.0, speed_m_s: 1.6}
+    - {id: mule, start: base, depots: [base, camp], empty_mass_kg: 12.0, energy_budget_j: 6500.0,
+       payload_capacity: 6, samples_per_node: 1, noise_variance: 0.2, energy_per_kg_m: 1.0, speed_m_s: 1.4}
 """
 
 
@@ -207,7 +209,9 @@ def objective(here: Mission, samplers: dict[str, str]) -> float:
     return information_model(here).value(precision)
 
 
-def _route(here: Mission, robot_id: str, start: str, start_s: float, payload: int, stops: list[Do]) -> RobotPlan:
+def _route(
+    here: Mission, robot_id: str, start: str, start_s: float, payload: int, stops: list[Do]
+) -> RobotPlan:
     robot, places = here.robot(robot_id), node_positions(here)
     now_s = max(start_s, SERVICE_S) if start_s == 0.0 else start_s
     route = [Stop(node=start, depart_s=now_s, payload=payload)]
@@ -249,9 +253,7 @@ def messages() -> list[tuple[str, Message]]:
     v1 = compile_plan(here, first)
     v2 = compile_plan(here, second, _custody({(s.sampler, s.node): tag for tag, s in v1.samples.items()}))
     keep = {"lark": "w4", "kite": "e5", "mule": "e1"}
-    missions = {
-        robot: _joined(v1.missions[robot], v2.missions[robot], keep[robot]) for robot in v1.missions
-    }
+    missions = {robot: _joined(v1.missions[robot], v2.missions[robot], keep[robot]) for robot in v1.missions}
     samples = {**v1.samples, **v2.samples}
     said: list[tuple[str, Message]] = []
     base = root(here.name)
@@ -329,7 +331,9 @@ def _drive(
     robot = here.robot(robot_id)
     vehicle = Vehicle(robot_id, orders.steps, *places[robot.start])
     slow, hungry = (SLOW, HUNGRY) if robot_id == "mule" else (1.0, 1.0)
-    said: list[tuple[str, Message]] = [(_key(here, robot_id, "telemetry"), _telemetry(here, vehicle, None, 0.0))]
+    said: list[tuple[str, Message]] = [
+        (_key(here, robot_id, "telemetry"), _telemetry(here, vehicle, None, 0.0))
+    ]
     _wait(here, vehicle, orders.steps[0], SERVICE_S, said)
     for step in orders.steps:
         if step.action is Action.DRIVE:
@@ -337,8 +341,10 @@ def _drive(
             length_m = math.dist((vehicle.x_m, vehicle.y_m), goal)
             origin = (vehicle.x_m, vehicle.y_m)
             speed = robot.speed_m_s * slow
-            per_m = robot.energy_per_kg_m * hungry * (
-                robot.empty_mass_kg + vehicle.on_board * here.team.sample_mass_kg
+            per_m = (
+                robot.energy_per_kg_m
+                * hungry
+                * (robot.empty_mass_kg + vehicle.on_board * here.team.sample_mass_kg)
             )
             ticks = max(1, math.ceil(length_m / speed / TELEMETRY_STEP_S))
             for tick in range(1, ticks + 1):
@@ -442,7 +448,8 @@ def _ledgers(said: list[tuple[str, Message]], base: str) -> Iterator[tuple[str, 
 
 def _handed(record: SampleRecord, said: Confirmation) -> SampleRecord:
     state = {
-        Action.COLLECT: "on_board", Action.DROP: "cached", Action.PICK: "on_board", Action.UNLOAD: "delivered",
+        Action.COLLECT: "on_board", Action.DROP: "cached", Action.PICK: "on_board",
+        Action.UNLOAD: "delivered",
     }[said.action]  # fmt: skip
     event = CustodyEvent(time_s=said.time_s, action=said.action, robot=said.robot, node=said.node)
     return record.model_copy(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -42,11 +43,10 @@ team:
 
 
 def site(extra: str = "", **replaced: str) -> Mission:
-    """Return the small site, with text appended and ``key: value`` pairs of the scout's line replaced."""
+    """Return the small site, with text appended and the first ``key: value`` of each key replaced."""
     text = SITE
     for key, value in replaced.items():
-        before, _, after = text.partition(f"{key}: ")
-        text = f"{before}{key}: {value}{after[min(after.index(c) for c in ',}\n' if c in after) :]}"
+        text = re.sub(rf"\b{key}: [^,}}\n]+", f"{key}: {value}", text, count=1)
     return parse_mission(text + extra)
 
 
@@ -156,7 +156,6 @@ class Ground:
 
     def texts(self) -> list[str]:
         return [m.text for m in of(self.heard, "STATUSTEXT") if parse_confirmation(m.text) is None]
-
 
 
 def of(messages: list[Any], kind: str) -> list[Any]:

@@ -285,3 +285,11 @@ def test_a_circle_of_handoffs_is_refused() -> None:
     )
     with pytest.raises(PlanError, match=r"wait for each other in a circle: .*scout stop 1"):
         compile_plan(MISSION, plan)
+
+
+def test_samples_still_wanted_keep_the_tags_they_were_promised() -> None:
+    promised = {("scout", "a"): (5, 6), ("scout", "hub"): (8,), ("scout2", "hub"): (4,)}
+    compiled = compile_plan(MISSION, handoff_plan(), Custody({}, {}, next_tag=9, promised=promised))
+    assert {tag: sample.node for tag, sample in compiled.samples.items()} == {5: "a", 6: "a", 8: "hub"}
+    fewer = Custody({}, {}, next_tag=9, promised={("scout", "a"): (6,)})
+    assert sorted(compile_plan(MISSION, handoff_plan(), fewer).samples) == [6, 9, 10]

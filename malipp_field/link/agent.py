@@ -1,0 +1,331 @@
+"""The agent of one vehicle: orders come in by the bus, what the vehicle does goes out by it."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Awaitable, Callable
+from typing import Literal, Protocol, TypeVar
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from malipp_field.bus.messages import (
+    Command,
+    Confirmation,
+    Event,
+    Hold,
+    Message,
+    Reply,
+    Telemetry,
+    presence_key,
+    root,
+    vehicle_key,
+)
+from malipp_field.clock import Clock
+from malipp_field.errors import LinkError
+from malipp_field.link.confirmations import ConfirmationInbox
+from malipp_field.link.connection import MavConnection
+from malipp_field.link.driver import TICK_S, Driver
+from malipp_field.link.exchange import MavMessage
+from malipp_field.link.orders import Order, Orders
+from malipp_field.link.progress import Progress
+from malipp_field.link.vehicle import Vehicle
+from malipp_field.vehicle.payload_protocol import ACK_NAME, PayloadReport, parse_confirmation
+
+HEARTBEAT_S = 1.0
+TELEMETRY_S = 0.2
+STREAM_REQUEST_S = 5.0
+
+STREAMS_HZ = {
+    mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 5.0,
+    mavlink.MAVLINK_MSG_ID_MISSION_CURRENT: 5.0,
+    mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT: 1.0,
+    mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: 1.0,
+}
+"""Messages an ArduPilot does not send, or seldom, unless it is asked for them."""
+
+MessageT = TypeVar("MessageT", bound=Message)
+log = logging.getLogger(__name__)
+
+
+class AgentBus(Protocol):
+    """What an agent needs of the bus."""
+
+    def publish(self, key: str, message: Message) -> None:
+        """Say ``message`` to whoever listens to ``key``."""
+        ...
+
+    async def serve(
+        self, key: str, kind: type[MessageT], handler: Callable[[MessageT], Awaitable[Reply]]
+    ) -> None:
+        """Answer requests on ``key``."""
+        ...
+
+    async def present(self, key: str) -> None:
+        """Show presence under ``key``."""
+        ...
+
+
+class Connection(Protocol):
+    """What an agent needs of a link to a vehicle."""
+
+    def send(self, message: MavMessage) -> None:
+        """Send a message."""
+        ...
+
+    def close(self) -> None:
+        """Close the link."""
+        ...
+
+
+class Agent:
+    """One vehicle's link to the team.
+
+    Parameters
+    ----------
+    mission_name
+        First part of all keys.
+    robot
+        Whose agent this is.
+    endpoint
+        Host and UDP port of the vehicle.
+    system_id
+        The vehicle's MAVLink system id.
+    bus
+        Where it talks to the team.
+    clock
+        All waiting and all times are of this clock.
+    open_connection
+        Opens the link: ``udpout:HOST:PORT`` and the function to be called for each message.
+    """
+
+    def __init__(
+        self,
+        mission_name: str,
+        robot: str,
+        endpoint: tuple[str, int],
+        system_id: int,
+        bus: AgentBus,
+        clock: Clock,
+        open_connection: Callable[
+            [str, Callable[[MavMessage], None]], Awaitable[Connection]
+        ] = MavConnection.open,
+    ) -> None:
+        self._mission_name, self._robot, self._endpoint = mission_name, robot, endpoint
+        self._bus, self._clock = bus, clock
+        self._open_connection = open_connection
+        self._connection: Connection | None = None
+        self.vehicle = Vehicle(system_id)
+        self.progress = Progress()
+        self._driver = Driver(self.vehicle, self._send, clock)
+        self._orders = Orders(robot, self._driver, self.progress)
+        self._inbox = ConfirmationInbox()
+        self._published = 0
+        self._began_s = clock.now_s()
+        self._link_ok = False
+        self._due_s = {"heartbeat": 0.0, "telemetry": 0.0, "streams": 0.0}
+        self._streams_unheard: set[int] = set()
+        self._turn = asyncio.Lock()
+        self._holds = 0
+        self._order: asyncio.Task[str] | None = None
+
+    async def run(self) -> None:
+        """Serve until cancelled.
+
+        Raises
+        ------
+        LinkError
+            When the endpoint cannot be used.
+        """
+        host, port = self._endpoint
+        self._connection = await self._open_connection(f"udpout:{host}:{port}", self._heard)
+        try:
+            await self._bus.serve(
+                vehicle_key(self._mission_name, self._robot, "command"), Command, self._answer
+            )
+            await self._bus.present(presence_key(self._mission_name, self._robot))
+            while True:
+                self._tick(self._clock.now_s())
+                await self._clock.sleep(TICK_S)
+        finally:
+            if self._order is not None:
+                self._order.cancel()
+            self._connection.close()
+
+    # The loop: what is due, and what arrives.
+
+    def _send(self, message: MavMessage) -> None:
+        if self._connection is not None:
+            self._connection.send(message)
+
+    def _tick(self, now_s: float) -> None:
+        if self._due("heartbeat", HEARTBEAT_S, now_s):
+            self._send(
+                mavlink.MAVLink_heartbeat_message(
+                    mavlink.MAV_TYPE_GCS, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, mavlink.MAV_STATE_ACTIVE, 3
+                )
+            )
+        self._watch_link(now_s)
+        if self._link_ok and self._streams_unheard and self._due("streams", STREAM_REQUEST_S, now_s):
+            self._request_streams()
+        self._driver.tick(now_s)
+        if self.vehicle.lat_deg is not None and self._due("telemetry", TELEMETRY_S, now_s):
+            self._publish("telemetry", self._telemetry(now_s))
+
+    def _due(self, what: str, interval_s: float, now_s: float) -> bool:
+        if now_s < self._due_s[what]:
+            return False
+        self._due_s[what] = now_s + interval_s
+        return True
+
+    def _watch_link(self, now_s: float) -> None:
+        link_ok = self.vehicle.link_ok(now_s)
+        if link_ok == self._link_ok:
+            return
+        self._link_ok = link_ok
+        if link_ok:
+            self._streams_unheard, self._due_s["streams"] = set(STREAMS_HZ), now_s
+            self._event("info", "link: the vehicle is heard")
+        else:
+            self._event("error", "link: the vehicle is not heard any more")
+
+    def _request_streams(self) -> None:
+        for message_id in self._streams_unheard:
+            interval_us = 1e6 / STREAMS_HZ[message_id]
+            self._send(
+                mavlink.MAVLink_command_long_message(
+                    *self.vehicle.address, mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, 0,
+                    message_id, interval_us, 0, 0, 0, 0, 0,
+                )
+            )  # fmt: skip
+
+    def _heard(self, message: MavMessage) -> None:
+        now_s = self._clock.now_s()
+        if not self.vehicle.receive(message, now_s):
+            return
+        kind = message.get_msgId()
+        self._streams_unheard.discard(kind)
+        if kind == mavlink.MAVLINK_MSG_ID_MISSION_CURRENT:
+            self.progress.report(message.seq, self.vehicle.mission_complete)
+        elif kind == mavlink.MAVLINK_MSG_ID_STATUSTEXT:
+            self._text(message.severity, message.text)
+        self._driver.receive(message, now_s)
+
+    def _text(self, severity: int, text: str) -> None:
+        report = parse_confirmation(text)
+        if report is not None:
+            self._confirmed(report)
+        elif severity <= mavlink.MAV_SEVERITY_ERROR:
+            self._event("error", text)
+        elif severity <= mavlink.MAV_SEVERITY_WARNING:
+            self._event("warning", text)
+
+    def _confirmed(self, report: PayloadReport) -> None:
+        """Publish confirmations in order, then acknowledge; what was not published will be repeated."""
+        if not self.progress.known:
+            return  # no step to tie it to yet
+        self._inbox.put(report)
+        while (following := self._inbox.next()) is not None:
+            self._publish_confirmation(following)
+            self._inbox.accept()
+        boot_ms = int((self._clock.now_s() - self._began_s) * 1000.0) % 2**32
+        self._send(mavlink.MAVLink_named_value_int_message(boot_ms, ACK_NAME.encode(), self._inbox.heard))
+
+    def _publish_confirmation(self, report: PayloadReport) -> None:
+        step = self.progress.step_of(report)
+        if step is not None and step.uid in self.progress.done:
+            return  # begun anew after a hold: the script says once more what it has done already
+        if step is None:
+            self._event("error", f"no mission has a step '{report.action} {report.tag}', which was confirmed")
+        self._publish(
+            "confirmation",
+            Confirmation(
+                time_s=self._clock.now_s(),
+                robot=self._robot,
+                number=self._published + 1,
+                uid=step.uid if step else "",
+                action=report.action,
+                node=step.node if step else "",
+                tag=report.tag,
+                ok=report.ok,
+                value=report.value,
+                text="" if report.ok else report.result,
+            ),
+        )
+        self._published += 1
+        if step is not None and report.ok:
+            self.progress.done.add(step.uid)
+
+    def _telemetry(self, now_s: float) -> Telemetry:
+        vehicle, progress = self.vehicle, self.progress
+        return Telemetry(
+            time_s=now_s,
+            robot=self._robot,
+            lat_deg=vehicle.lat_deg or 0.0,
+            lon_deg=vehicle.lon_deg or 0.0,
+            heading_deg=vehicle.heading_deg,
+            speed_m_s=vehicle.speed_m_s,
+            mode=vehicle.mode,
+            armed=vehicle.armed,
+            ready_to_arm=vehicle.ready_to_arm,
+            energy_used_j=vehicle.energy_used_j,
+            mission_version=None if progress.mission is None else progress.mission.version,
+            step_uid=None if progress.current is None else progress.current.uid,
+            finished=progress.finished,
+            link_ok=self._link_ok,
+        )
+
+    def _publish(self, what: str, message: Message) -> None:
+        self._bus.publish(vehicle_key(self._mission_name, self._robot, what), message)
+
+    def _event(self, severity: Literal["info", "warning", "error"], text: str) -> None:
+        event = Event(
+            time_s=self._clock.now_s(),
+            source=f"agent {self._robot}",
+            severity=severity,
+            text=text,
+            robot=self._robot,
+        )
+        self._bus.publish(f"{root(self._mission_name)}/event", event)
+
+    # Orders: one at a time, but a hold goes before all others.
+
+    async def _answer(self, command: Command) -> Reply:
+        order = command.order
+        if isinstance(order, Hold):
+            self._holds += 1
+            if self._order is not None:
+                self._order.cancel()
+        holds = self._holds
+        async with self._turn:
+            if holds != self._holds and not isinstance(order, Hold):
+                return self._reply(ok=False, text="not done: the vehicle was ordered to hold")
+            return await self._carry_out(order)
+
+    async def _carry_out(self, order: Order) -> Reply:
+        task = asyncio.create_task(self._orders.carry_out(order))
+        self._order = None if isinstance(order, Hold) else task
+        try:
+            text = await task
+        except LinkError as fault:
+            self._event("warning", f"{order.do} was not done: {fault}")
+            return self._reply(ok=False, text=str(fault))
+        except asyncio.CancelledError:
+            task.cancel()
+            if self._broken_off(task):
+                return self._reply(ok=False, text="broken off by a hold, or by the end of the agent")
+            raise
+        finally:
+            self._order = None
+        if isinstance(order, Hold):
+            self._event("info", f"holding: {order.reason}")
+        return self._reply(ok=True, text=text)
+
+    def _reply(self, *, ok: bool, text: str) -> Reply:
+        return Reply(time_s=self._clock.now_s(), ok=ok, text=text)
+
+    @staticmethod
+    def _broken_off(task: asyncio.Task[str]) -> bool:
+        """Whether the order was cancelled, and not whoever waits for its answer."""
+        asker = asyncio.current_task()
+        return task.cancelled() and (asker is None or not asker.cancelling())

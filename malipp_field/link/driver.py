@@ -1,0 +1,197 @@
+"""What an agent can have an autopilot do, each act verified by what the vehicle reports afterwards."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from malipp_field.clock import Clock
+from malipp_field.errors import LinkError
+from malipp_field.link.commands import CommandExchange
+from malipp_field.link.compare import differences
+from malipp_field.link.exchange import DEFAULT_TIMEOUT_S, Exchange, MavMessage
+from malipp_field.link.mission_protocol import MissionClear, MissionDownload, MissionUpload
+from malipp_field.link.vehicle import HEARTBEAT_LOST_S, MODE_NUMBERS, Vehicle
+from malipp_field.vehicle.steps import MissionItem
+
+TICK_S = 0.05
+EFFECT_LIMIT_S = 10.0
+"""How long the effect of an accepted command may take to show, on a link that loses most reports."""
+READY_LIMIT_S = 120.0
+"""How long to wait for a position estimate; about 40 s after boot is usual."""
+VERIFY_ROUNDS = 2
+"""Times a mission is uploaded when what is read back differs."""
+
+
+class Driver:
+    """Runs exchanges with one vehicle, and the acts that are made of them.
+
+    Every act raises `LinkError` when the vehicle does not do it.
+
+    Parameters
+    ----------
+    vehicle
+        What the autopilot reports; somebody else feeds it.
+    send
+        Sends a message to it.
+    clock
+        All waiting is done on it.
+    """
+
+    def __init__(self, vehicle: Vehicle, send: Callable[[MavMessage], None], clock: Clock) -> None:
+        self.vehicle = vehicle
+        self._send = send
+        self._clock = clock
+        self._exchanges: list[Exchange] = []
+
+    def receive(self, message: MavMessage, now_s: float) -> None:
+        """Hand a message of the link to the exchanges under way."""
+        for exchange in list(self._exchanges):
+            self._send_all(exchange.receive(message, now_s))
+
+    def tick(self, now_s: float) -> None:
+        """Let time pass for the exchanges under way."""
+        for exchange in list(self._exchanges):
+            self._send_all(exchange.tick(now_s))
+
+    def _send_all(self, messages: Sequence[MavMessage]) -> None:
+        for message in messages:
+            self._send(message)
+
+    async def until(self, condition: Callable[[], bool], limit_s: float) -> bool:
+        """Wait until a condition holds; return whether it did within the limit."""
+        deadline_s = self._clock.now_s() + limit_s
+        while not condition():
+            if self._clock.now_s() >= deadline_s:
+                return False
+            await self._clock.sleep(TICK_S)
+        return True
+
+    async def run(self, exchange: Exchange) -> None:
+        """Run an exchange to its end."""
+        self._exchanges.append(exchange)
+        try:
+            self._send_all(exchange.start(self._clock.now_s()))
+            while not exchange.ended:  # every exchange has limits of its own
+                await self._clock.sleep(TICK_S)
+        finally:
+            self._exchanges.remove(exchange)
+        if exchange.failure is not None:
+            raise LinkError(exchange.failure)
+
+    async def hear(self) -> None:
+        """Wait for heartbeats."""
+        if not await self.until(lambda: self.vehicle.link_ok(self._clock.now_s()), HEARTBEAT_LOST_S):
+            raise LinkError(f"vehicle {self.vehicle.address[0]} is not heard")
+
+    async def hear_index(self) -> None:
+        """Wait for two more MISSION_CURRENT: the first may have been under way before."""
+        before = self.vehicle.mission_reports
+        if not await self.until(lambda: self.vehicle.mission_reports >= before + 2, EFFECT_LIMIT_S):
+            raise LinkError(f"vehicle {self.vehicle.address[0]} does not report its mission item")
+
+    async def enter(self, mode: str) -> None:
+        """Change the mode, and see it in a heartbeat."""
+        custom = float(mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED)
+        await self._command(mavlink.MAV_CMD_DO_SET_MODE, custom, float(MODE_NUMBERS[mode]))
+        before = self.vehicle.heartbeats
+        await self._see(lambda v: v.heartbeats > before and v.mode == mode, f"enter {mode}")
+
+    async def arm(self) -> None:
+        """Arm; see it in a heartbeat."""
+        await self._command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1.0)
+        await self._see(lambda v: v.armed, "arm")
+
+    async def disarm(self) -> None:
+        """Disarm; see it in a heartbeat."""
+        await self._command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0.0)
+        await self._see(lambda v: not v.armed, "disarm")
+
+    async def go(self, seq: int) -> None:
+        """Carry out the mission on board from item ``seq``, in AUTO and armed.
+
+        The item is made current while the vehicle stands, so that it never moves on a stale index. In HOLD
+        that is only allowed once AUTO has been entered (field-facts); else AUTO is entered disarmed first.
+        """
+        if not self.vehicle.armed:
+            await self._wait_until_ready()
+        if not self.vehicle.auto_entered:
+            if self.vehicle.armed:
+                await self.enter("HOLD")
+                await self.disarm()
+            await self.enter("AUTO")
+        elif self.vehicle.mode != "HOLD":
+            await self.enter("HOLD")
+        await self._command(mavlink.MAV_CMD_DO_SET_MISSION_CURRENT, float(seq))
+        before = self.vehicle.mission_reports
+        await self._see(
+            lambda v: v.mission_reports > before and v.current_seq == seq, f"make item {seq} current"
+        )
+        if self.vehicle.mode != "AUTO":
+            await self.enter("AUTO")
+        if not self.vehicle.armed:
+            await self.arm()
+
+    async def leave(self, seq: int) -> None:
+        """Have the vehicle go on from item ``seq``, at which it waits, to the next.
+
+        The command is sent again only after fresh reports that it still waits there: a repeat that arrives
+        when the vehicle has gone on would set it back.
+        """
+        system, component = self.vehicle.address
+        deadline_s = self._clock.now_s() + 2 * EFFECT_LIMIT_S
+        while not self._is_past(seq):
+            if self._clock.now_s() >= deadline_s:
+                raise LinkError(f"vehicle {system} does not leave item {seq}")
+            self._send(
+                mavlink.MAVLink_command_long_message(
+                    system, component, mavlink.MAV_CMD_DO_SET_MISSION_CURRENT, 0, seq + 1, 0, 0, 0, 0, 0, 0
+                )
+            )
+            if not await self.until(lambda: self._is_past(seq), DEFAULT_TIMEOUT_S):
+                await self.hear_index()
+
+    def _is_past(self, seq: int) -> bool:
+        return self.vehicle.current_seq is not None and self.vehicle.current_seq > seq
+
+    async def install(self, items: Sequence[MissionItem]) -> None:
+        """Put a mission on the vehicle, read it back, and compare; the vehicle must not be driving.
+
+        An upload is not atomic. When it fails, what is left on board is removed as far as the link allows.
+        """
+        system, component = self.vehicle.address
+        try:
+            for _ in range(VERIFY_ROUNDS):
+                if len(items) > 1:
+                    await self.run(MissionUpload(items, system, component))
+                else:  # nothing to do; ArduPilot makes two items of home alone
+                    await self.run(MissionClear(system, component))
+                download = MissionDownload(system, component)
+                await self.run(download)
+                found = differences(items, download.items)
+                if not found:
+                    return
+            raise LinkError(f"the mission read back is not the one sent: {'; '.join(found)}")
+        except LinkError:
+            await self._clear_quietly()
+            raise
+
+    async def _clear_quietly(self) -> None:
+        if not self.vehicle.link_ok(self._clock.now_s()):
+            return
+        try:
+            await self.run(MissionClear(*self.vehicle.address))
+        except LinkError:
+            return  # the failure that led here is the one to report
+
+    async def _wait_until_ready(self) -> None:
+        if not await self.until(lambda: self.vehicle.ready_to_arm, READY_LIMIT_S):
+            raise LinkError(f"vehicle {self.vehicle.address[0]} is not ready to arm: no position estimate")
+
+    async def _command(self, command: int, *params: float) -> None:
+        await self.run(CommandExchange(command, params, *self.vehicle.address))
+
+    async def _see(self, effect: Callable[[Vehicle], bool], what: str) -> None:
+        if not await self.until(lambda: effect(self.vehicle), EFFECT_LIMIT_S):
+            raise LinkError(f"vehicle {self.vehicle.address[0]} accepted to {what}, but did not")

@@ -1,0 +1,130 @@
+"""The orders of the coordinator, carried out on one vehicle as `malipp_field.bus.messages` says."""
+
+from __future__ import annotations
+
+from typing import TypeAlias
+
+from malipp_field.bus.messages import Hold, Load, Release, Start
+from malipp_field.errors import LinkError
+from malipp_field.link.driver import Driver
+from malipp_field.link.progress import Progress
+from malipp_field.vehicle.payload_protocol import REPEAT_S
+from malipp_field.vehicle.steps import Action, VehicleMission
+
+CONFIRMATION_LIMIT_S = 10 * REPEAT_S
+"""How long to wait for the confirmation of a payload step that the vehicle has left behind."""
+
+Order: TypeAlias = Load | Start | Release | Hold
+
+
+class Orders:
+    """Carries out one order at a time; whoever calls sees to that.
+
+    Parameters
+    ----------
+    robot
+        Whose vehicle it is.
+    driver, progress
+        The vehicle, and which steps it has done.
+    """
+
+    def __init__(self, robot: str, driver: Driver, progress: Progress) -> None:
+        self._robot, self._driver, self._progress = robot, driver, progress
+
+    async def carry_out(self, order: Order) -> str:
+        """Carry out an order and return what was done, in words.
+
+        Raises
+        ------
+        LinkError
+            When it must not be done, or could not.
+        """
+        await self._driver.hear()
+        if isinstance(order, Load):
+            return await self._load(order)
+        if isinstance(order, Start):
+            return await self._start()
+        if isinstance(order, Release):
+            return await self._release(order.uid)
+        await self._driver.enter("HOLD")
+        return "holding"
+
+    async def _load(self, order: Load) -> str:
+        mission, vehicle = order.mission, self._driver.vehicle
+        if mission.robot != self._robot:
+            raise LinkError(f"the mission is for '{mission.robot}', not for '{self._robot}'")
+        under_way = self._progress.under_way
+        if order.resume and vehicle.armed and not under_way:
+            raise LinkError("the vehicle is armed, but not by this agent: what it has done is not known")
+        self._object_to(order)
+        if vehicle.armed or vehicle.mode == "AUTO":
+            await self._make_stand(order)
+        self._progress.forget()
+        await self._driver.install(mission.items())
+        self._progress.adopt(mission)
+        if order.resume and under_way:
+            await self._go(mission)
+        return f"version {mission.version} is on board and verified"
+
+    def _object_to(self, order: Load) -> None:
+        objection = self._progress.objection(order.mission, order.diverges_at)
+        if objection is not None:
+            raise LinkError(objection)
+
+    async def _make_stand(self, order: Load) -> None:
+        """Hold the vehicle; when it has left the common part by then, let it go on, and object."""
+        driving, mission = self._driver.vehicle.mode == "AUTO", self._progress.mission
+        await self._driver.enter("HOLD")
+        if mission is None:
+            return
+        try:
+            await self._settle()
+            self._object_to(order)
+        except LinkError:
+            if driving:
+                await self._driver.enter("AUTO")
+            raise
+
+    async def _settle(self) -> None:
+        """Wait until it is known what the standing vehicle has done: no step may be done twice."""
+        await self._driver.hear_index()
+        if not await self._driver.until(lambda: not self._progress.unconfirmed(), CONFIRMATION_LIMIT_S):
+            uids = ", ".join(step.uid for step in self._progress.unconfirmed())
+            raise LinkError(f"the vehicle went past {uids} without a confirmation")
+
+    async def _start(self) -> str:
+        mission, vehicle = self._progress.mission, self._driver.vehicle
+        if mission is None:
+            raise LinkError("there is no verified mission on board")
+        if self._progress.in_force and vehicle.armed and vehicle.mode == "AUTO":
+            return "under way already"
+        if self._progress.under_way:
+            await self._settle()
+        await self._go(mission)
+        return "under way"
+
+    async def _go(self, mission: VehicleMission) -> None:
+        """Have the vehicle carry out what is not done yet; leave it holding when it does not."""
+        index = self._progress.first_undone(mission)
+        if index is None:
+            return
+        try:
+            await self._driver.go(index + 1)
+        except LinkError:
+            await self._driver.enter("HOLD")
+            raise
+        self._progress.follow(index)
+
+    async def _release(self, uid: str) -> str:
+        mission, current = self._progress.mission, self._progress.current
+        index = None if mission is None else mission.index_of(uid)
+        if mission is None or index is None:
+            raise LinkError(f"no verified mission on board has a step {uid}")
+        if uid in self._progress.done:
+            return "passed already"
+        if mission.steps[index].action is not Action.WAIT or index + 1 == len(mission.steps):
+            raise LinkError(f"step {uid} is not a gate")
+        if current is None or current.uid != uid:
+            raise LinkError(f"the vehicle is not at {uid}, but at {current.uid if current else 'no step'}")
+        await self._driver.leave(index + 1)
+        return "released"

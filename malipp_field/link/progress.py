@@ -1,0 +1,119 @@
+"""Which steps are done, and which is being carried out; no I/O.
+
+"Reached" proves nothing: a payload step is done when the payload script has confirmed it, a drive or a wait
+when MISSION_CURRENT has moved past it while the mission on board was verified.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+
+from malipp_field.vehicle.payload_protocol import PayloadReport
+from malipp_field.vehicle.steps import Action, Step, VehicleMission
+
+_PASSED_BY = (Action.DRIVE, Action.WAIT)
+
+
+class Progress:
+    """Progress of one vehicle, over all the missions it has been given.
+
+    Attributes
+    ----------
+    mission : VehicleMission or None
+        The verified mission on board.
+    done : set of str
+        Uids of steps done, under this mission or an earlier one.
+    """
+
+    def __init__(self) -> None:
+        self.mission: VehicleMission | None = None
+        self.done: set[str] = set()
+        self._known: deque[VehicleMission] = deque()  # newest first
+        self._followed: VehicleMission | None = None
+        self._index = 0
+
+    @property
+    def known(self) -> bool:
+        """Whether there has been a verified mission at all."""
+        return bool(self._known)
+
+    @property
+    def under_way(self) -> bool:
+        """Whether a mission has been begun, and its index counts."""
+        return self._followed is not None
+
+    @property
+    def in_force(self) -> bool:
+        """Whether the mission on board is verified and is the one that was begun."""
+        return self.mission is not None and self.mission is self._followed
+
+    @property
+    def current(self) -> Step | None:
+        """The step being carried out; None before the start, and when no step is left.
+
+        While the mission is replaced this stays what it was: the vehicle holds.
+        """
+        steps = () if self._followed is None else self._followed.steps
+        return steps[self._index] if self._index < len(steps) else None
+
+    @property
+    def finished(self) -> bool:
+        """Whether all steps of the verified mission are done."""
+        return self.mission is not None and self.first_undone(self.mission) is None
+
+    def first_undone(self, mission: VehicleMission) -> int | None:
+        """Return the index of the first step that is not done."""
+        return next((i for i, step in enumerate(mission.steps) if step.uid not in self.done), None)
+
+    def adopt(self, mission: VehicleMission) -> None:
+        """Note that this mission is on board, read back and found right."""
+        self.mission = mission
+        self._known.appendleft(mission)
+
+    def forget(self) -> None:
+        """Note that what is on board is not known any more."""
+        self.mission = None
+
+    def follow(self, index: int) -> None:
+        """Count MISSION_CURRENT from now on: the vehicle is at step ``index`` of the mission on board."""
+        self._followed, self._index = self.mission, index
+
+    def report(self, seq: int, complete: bool) -> None:
+        """Take in MISSION_CURRENT. Item ``seq`` is step ``seq - 1``; at item 0 the vehicle is at no step.
+
+        A payload step without its confirmation stops the count: what is said to lie behind it is either a
+        stale index or a vehicle that passes over its work.
+        """
+        mission = self.mission
+        if mission is None or not self.in_force or not (complete or 0 < seq <= len(mission.steps)):
+            return
+        self._index = len(mission.steps) if complete else seq - 1
+        for step in mission.steps[: self._index]:
+            if step.action in _PASSED_BY:
+                self.done.add(step.uid)
+            elif step.uid not in self.done:
+                break
+
+    def unconfirmed(self) -> list[Step]:
+        """Return the payload steps that the vehicle has left behind without a confirmation so far."""
+        steps = () if self._followed is None else self._followed.steps[: self._index]
+        return [step for step in steps if step.action not in _PASSED_BY and step.uid not in self.done]
+
+    def step_of(self, report: PayloadReport) -> Step | None:
+        """Return the step a confirmation belongs to, or None when no mission so far has such a step."""
+        matching = [
+            step
+            for mission in self._known
+            for step in mission.steps
+            if step.action is report.action and report.tag in step.tags
+        ]
+        return next((s for s in matching if s.uid not in self.done), matching[0] if matching else None)
+
+    def objection(self, new: VehicleMission, diverges_at: str | None) -> str | None:
+        """Return why ``new`` must not replace the mission under way, or None when it may (see `Load`)."""
+        step = self.current
+        if step is None or new.index_of(step.uid) is not None:
+            return None
+        if step.action is Action.WAIT and step.uid == diverges_at:
+            return None
+        return f"the vehicle is at step {step.uid} already, which the new mission does not have"

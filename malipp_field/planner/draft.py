@@ -1,0 +1,206 @@
+"""A team plan in the making: stops by robot, and for every sample the way it takes home.
+
+All else (what is collected, dropped and picked where, loads, energies) is derived. Samples on board or lying
+in a drop when the plan begins are samples like the others, except that they may not be left out.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from typing import NamedTuple
+
+import networkx as nx
+
+from malipp_field.planner.extract import Route, TeamPlan, Visit, precedence, tidy
+from malipp_field.planner.problem import Problem, within
+
+COLLECTED, ON_BOARD, STOCK = 0, 1, 2
+
+
+class Sample(NamedTuple):
+    """One sample: who takes it in hand first, where, and through which drops it goes.
+
+    Attributes
+    ----------
+    kind
+        `COLLECTED` at ``node``; `ON_BOARD` at the start of ``robot``; `STOCK`, fetched at ``node``.
+    hops : tuple of (node, robot)
+        Where it is dropped, and which robot picks it there.
+    stock
+        Index of the stock it lies in, -1 for the other kinds.
+    """
+
+    kind: int
+    node: int
+    robot: int
+    hops: tuple[tuple[int, int], ...] = ()
+    stock: int = -1
+
+
+class Draft:
+    """Routes (node lists from start to terminal) and samples; changed in place by the search."""
+
+    def __init__(self, problem: Problem, routes: list[list[int]], samples: list[Sample]) -> None:
+        self.problem, self.routes, self.samples = problem, routes, samples
+        team = range(len(problem.robots))
+        self.collect = [defaultdict[int, int](int) for _ in team]
+        self.give = [defaultdict[int, int](int) for _ in team]
+        self.take = [defaultdict[int, int](int) for _ in team]
+        for sample in samples:
+            self.count(sample, 1)
+
+    def copy(self) -> Draft:
+        """Return an independent draft that says the same."""
+        return Draft(self.problem, [list(route) for route in self.routes], list(self.samples))
+
+    def add(self, sample: Sample) -> None:
+        """Add a sample; its stops are in the routes already."""
+        self.samples.append(sample)
+        self.count(sample, 1)
+
+    def remove(self, sample: Sample) -> None:
+        """Remove a sample; its stops stay."""
+        self.samples.remove(sample)
+        self.count(sample, -1)
+
+    def count(self, sample: Sample, change: int) -> None:
+        """Count a sample in (1) or out (-1) at its stops, whether it is listed or not."""
+        if sample.kind == COLLECTED:
+            self.collect[sample.robot][sample.node] += change
+        elif sample.kind == STOCK:
+            self.take[sample.robot][sample.node] += change
+        holder = sample.robot
+        for node, receiver in sample.hops:
+            self.give[holder][node] += change
+            self.take[receiver][node] += change
+            holder = receiver
+
+    def energy_j(self, r: int) -> float:
+        """Return the energy of a route with its loads; infinity where custody, capacity or budget forbid it."""
+        robot, route = self.problem.robots[r], self.routes[r]
+        collect, give, take = self.collect[r], self.give[r], self.take[r]
+        cost, mass, sample_mass = robot.closure.rows, robot.empty_mass_kg, self.problem.sample_mass_kg
+        capacity, last = robot.capacity, len(route) - 1
+        load, energy, before = robot.on_board, 0.0, route[0]
+        for i, node in enumerate(route):
+            if i:
+                energy += cost[before][node] * (mass + sample_mass * load)
+                before = node
+                if i == last:
+                    break
+            load += collect[node]
+            given = give[node]
+            if given > min(load, capacity):
+                return float("inf")
+            if node in robot.depots:
+                load = given  # everything that is not handed over is unloaded
+            if load > capacity:
+                return float("inf")
+            load += take[node] - given
+            if load > capacity:
+                return float("inf")
+        return energy if within(energy, robot.budget_j) else float("inf")
+
+    def tidy(self) -> None:
+        """Drop stops at which nothing happens, and end every route at its nearest depot."""
+        for r, route in enumerate(self.routes):
+            robot, load, kept = self.problem.robots[r], self.problem.robots[r].on_board, route[:1]
+            for i, node in enumerate(route[:-1]):
+                busy = self.collect[r][node] or self.give[r][node] or self.take[r][node]
+                if i and (busy or (node in robot.depots and load)):
+                    kept.append(node)
+                load += self.collect[r][node] - self.give[r][node]
+                load = self.take[r][node] + (0 if node in robot.depots else load)
+            self.routes[r] = [*kept, self.terminal(r, kept)]
+
+    def terminal(self, r: int, inner: list[int]) -> int:
+        """Return the cheapest depot to end at after the stops ``inner``."""
+        robot = self.problem.robots[r]
+        cost = robot.closure.rows[inner[-1]]
+        allowed = [d for d in robot.depots if d != inner[-1] or len(inner) == 1]
+        return min(allowed or robot.depots, key=lambda d: cost[d])
+
+    def in_order(self) -> bool:
+        """Tell whether every drop can be made before its pick: stops and drops form no circle."""
+        place = [{node: i for i, node in enumerate(route[:-1])} for route in self.routes]
+        later: dict[tuple[int, int], list[tuple[int, int]]] = defaultdict(list)
+        waits: Counter[tuple[int, int]] = Counter()
+        for r, route in enumerate(self.routes):
+            for i in range(1, len(route)):
+                later[r, i - 1].append((r, i))
+                waits[r, i] += 1
+        for sample in self.samples:
+            holder, since = sample.robot, place[sample.robot].get(sample.node, 0)
+            for node, receiver in sample.hops:
+                if place[holder][node] < since:
+                    return False
+                since = place[receiver][node]
+                later[holder, place[holder][node]].append((receiver, since))
+                waits[receiver, since] += 1
+                holder = receiver
+        free = [(r, 0) for r in range(len(self.routes)) if not waits[r, 0]]
+        done = 0
+        while free:
+            stop = free.pop()
+            done += 1
+            for following in later[stop]:
+                waits[following] -= 1
+                if not waits[following]:
+                    free.append(following)
+        return done == sum(map(len, self.routes))
+
+    def visits(self) -> tuple[Route, ...]:
+        """Return the routes with their operations."""
+        drop: dict[tuple[int, int], Counter[int]] = defaultdict(Counter)
+        pick: dict[tuple[int, int], Counter[int]] = defaultdict(Counter)
+        fetch: dict[tuple[int, int], Counter[int]] = defaultdict(Counter)
+        for sample in self.samples:
+            if sample.kind == STOCK:
+                fetch[sample.robot, sample.node][sample.stock] += 1
+            holder = sample.robot
+            for node, receiver in sample.hops:
+                drop[holder, node][receiver] += 1
+                pick[receiver, node][holder] += 1
+                holder = receiver
+        found = []
+        for r, (robot, route) in enumerate(zip(self.problem.robots, self.routes, strict=True)):
+            load, visits = robot.on_board, []
+            for i, node in enumerate(route):
+                last = i == len(route) - 1
+                load += 0 if last else self.collect[r][node] - self.give[r][node]
+                unload = load if last or node in robot.depots else 0
+                load += (0 if last else self.take[r][node]) - unload
+                visits.append(
+                    Visit(node, unload=unload)
+                    if last
+                    else Visit(node, self.collect[r][node], dict(drop[r, node]), dict(pick[r, node]),
+                               dict(fetch[r, node]), unload)
+                )  # fmt: skip
+            found.append(tidy(tuple(visits)))
+        return tuple(found)
+
+
+def draft_of(problem: Problem, team: TeamPlan) -> Draft:
+    """Return a plan as a draft: samples are told apart by following each through the stops."""
+    routes = [[visit.node for visit in route] for route in team.routes]
+    routes = [route if len(route) > 1 else [route[0], route[0]] for route in routes]
+    held = [[Sample(ON_BOARD, robot.start, r)] * robot.on_board for r, robot in enumerate(problem.robots)]
+    lying: dict[tuple[int, int, int], list[Sample]] = defaultdict(list)
+    home: list[Sample] = []
+    for r, k in nx.topological_sort(precedence(problem, team.routes)):
+        visit, hand = team.routes[r][k], held[r]
+        hand += [Sample(COLLECTED, visit.node, r)] * visit.collect
+        for receiver, count in visit.drop.items():
+            for _ in range(count):
+                sample = hand.pop()
+                hops = (*sample.hops, (visit.node, receiver))
+                lying[visit.node, r, receiver].append(
+                    Sample(sample.kind, sample.node, sample.robot, hops, sample.stock)
+                )
+        for _ in range(visit.unload):
+            home.append(hand.pop(0))
+        for sender in visit.pick:
+            hand += lying.pop((visit.node, sender, r))
+        for s, count in visit.fetch.items():
+            hand += [Sample(STOCK, visit.node, r, (), s)] * count
+    return Draft(problem, routes, home)

@@ -1,0 +1,188 @@
+"""From a mission to a verified plan, by any of the methods."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from malipp_field.mission import Mission, TeamState
+from malipp_field.mission.schema import Method
+from malipp_field.plan import Plan
+from malipp_field.plan.schema import Status
+from malipp_field.planner.exact import Progress, Result, Search, relative_gap, solve_exact
+from malipp_field.planner.extract import TeamPlan, Verdict, plan_file, routes_of, team_plan
+from malipp_field.planner.feasibility import obstacle
+from malipp_field.planner.linear import Effort
+from malipp_field.planner.problem import Problem, build_problem
+from malipp_field.planner.sequential import solve_sequential
+from malipp_field.planner.verify import verify
+
+_SEQUENTIAL_SHARE = 0.25
+"""Of the time limit, for the Seq-LIPP plan the exact search begins with."""
+
+
+@dataclass(frozen=True)
+class Request:
+    """What is asked for, with the mission's own wishes filled in."""
+
+    mission: Mission
+    state: TeamState | None
+    method: Method
+    handoffs: bool
+    search: Search
+    version: int
+    warm_start: Plan | None
+
+
+def solve(
+    mission: Mission,
+    *,
+    state: TeamState | None = None,
+    method: Method | None = None,
+    handoffs: bool | None = None,
+    time_limit_s: float | None = None,
+    mip_gap: float | None = None,
+    seed: int | None = None,
+    threads: int | None = None,
+    warm_start: Plan | None = None,
+    version: int = 1,
+    on_progress: Callable[[Progress], None] | None = None,
+    cancelled: Callable[[], bool] | None = None,
+) -> Plan:
+    """Plan a mission from a state on; what is None is taken from the mission's planner section.
+
+    Parameters
+    ----------
+    state
+        Where the team stands; the beginning of the mission where it is None.
+    method
+        "exact" proves its plan; "no-handoffs" is the same without drops; "seq" is Seq-LIPP; "auto" is "exact"
+        begun with Seq-LIPP.
+    warm_start
+        A plan to begin with: the result is never worse if it keeps the rules for this state.
+    version
+        Number of the plan among those of the mission.
+    on_progress, cancelled
+        Called with every advance; and now and then, to be told to stop with the best plan so far.
+
+    Returns
+    -------
+    Plan
+        Verified where it has routes. Without: ``infeasible`` with the reason, or ``no_plan``.
+
+    Raises
+    ------
+    RuntimeError
+        When a plan of ours breaks a rule: an error of the planner, not of its user.
+    """
+    options = mission.planner
+    started = time.monotonic()
+    chosen = method or options.method
+    wanted = options.handoffs if handoffs is None else handoffs
+    search = Search(
+        effort=Effort(
+            deadline=started + (options.time_limit_s if time_limit_s is None else time_limit_s),
+            cancelled=cancelled or (lambda: False),
+        ),
+        gap=options.mip_gap if mip_gap is None else mip_gap,
+        seed=options.seed if seed is None else seed,
+        threads=threads,
+        started=started,
+        on_progress=on_progress or (lambda _: None),
+    )
+    request = Request(
+        mission=mission,
+        state=state,
+        method=chosen,
+        handoffs=wanted and chosen not in {"no-handoffs", "seq"},
+        search=search,
+        version=version,
+        warm_start=warm_start,
+    )
+    return _checked(request, _solve(request))
+
+
+def _solve(request: Request) -> Plan:
+    problem = build_problem(request.mission, request.state, handoffs=request.handoffs)
+    index = {node: i for i, node in enumerate(problem.nodes)}
+    depots = {r.id: tuple(index[d] for d in r.depots) for r in request.mission.team.robots}
+    reason = obstacle(problem, depots)
+    if reason:
+        return _no_routes(request, "infeasible", reason)
+    warm = _warm(request, problem)
+    if request.method == "seq":
+        return _sequential(request, problem)
+    return _exact(request, problem, warm)
+
+
+def _sequential(request: Request, problem: Problem) -> Plan:
+    team = solve_sequential(problem, request.search)
+    if team is None:
+        return _no_routes(request, "no_plan", "robots planned one by one found no plan that brings all samples home")
+    return plan_file(request.mission.name, problem, team, _verdict(request, "feasible", None, None))
+
+
+def _exact(request: Request, problem: Problem, start: TeamPlan | None) -> Plan:
+    search = request.search
+    if start is None and request.method == "auto":
+        start = solve_sequential(problem, search.share(_SEQUENTIAL_SHARE))
+    result: Result = solve_exact(problem, search, start)
+    if result.infeasible:
+        return _no_routes(
+            request, "infeasible",
+            "no set of routes brings every robot and every sample home within budgets and capacities "
+            "(proven by the exact model)",
+        )  # fmt: skip
+    if result.team is None:
+        return _no_routes(request, "no_plan", "the limit came before a first plan")
+    gap = relative_gap(result.team.information, result.bound)
+    status: Status = "optimal" if result.proven else "feasible"
+    bound = min(result.bound, result.team.information)
+    return plan_file(request.mission.name, problem, result.team, _verdict(request, status, bound, gap))
+
+
+def _warm(request: Request, problem: Problem) -> TeamPlan | None:
+    """Return the warm start if it is a plan for this mission and state."""
+    plan = request.warm_start
+    if plan is None or plan.objective is None or verify(request.mission, plan, request.state):
+        return None
+    return team_plan(problem, routes_of(problem, plan))
+
+
+def _verdict(request: Request, status: Status, bound: float | None, gap: float | None) -> Verdict:
+    return Verdict(
+        method=_method_used(request),
+        status=status,
+        bound=bound,
+        gap=gap,
+        solve_time_s=time.monotonic() - request.search.started,
+        seed=request.search.seed,
+        version=request.version,
+    )
+
+
+def _method_used(request: Request) -> str:
+    if request.method == "seq":
+        return "seq"
+    return "exact" if request.handoffs else "no-handoffs"
+
+
+def _no_routes(request: Request, status: Status, reason: str) -> Plan:
+    verdict = _verdict(request, status, None, None)
+    return Plan(
+        mission=request.mission.name,
+        version=verdict.version,
+        method=verdict.method,
+        status=status,
+        reason=reason,
+        solve_time_s=verdict.solve_time_s,
+        seed=verdict.seed,
+    )
+
+
+def _checked(request: Request, plan: Plan) -> Plan:
+    faults = verify(request.mission, plan, request.state)
+    if faults:
+        raise RuntimeError("the planner made a plan that breaks a rule: " + "; ".join(map(str, faults)))
+    return plan

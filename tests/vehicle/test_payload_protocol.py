@@ -1,0 +1,62 @@
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from malipp_field.vehicle.payload_protocol import (
+    MAX_TEXT,
+    PayloadReport,
+    format_confirmation,
+    parse_confirmation,
+)
+from malipp_field.vehicle.steps import MAX_TAG, Action
+
+
+@given(
+    number=st.integers(1, 2**32 - 1),
+    action=st.sampled_from(Action),
+    tag=st.integers(0, MAX_TAG),
+    value=st.none() | st.floats(allow_nan=False, allow_infinity=False),
+)
+def test_a_confirmation_survives_the_way_and_fits_into_one_statustext(
+    number: int, action: Action, tag: int, value: float | None
+) -> None:
+    text = format_confirmation(number, action, tag, "ok", value)
+    report = parse_confirmation(text)
+    assert len(text.encode("ascii")) <= MAX_TEXT
+    assert report is not None
+    assert (report.number, report.action, report.tag, report.ok) == (number, action, tag, True)
+    if value is None:
+        assert report.value is None
+    else:
+        assert report.value == pytest.approx(value, rel=1e-8)
+
+
+def test_the_texts_are_the_contract_with_the_script_on_board() -> None:
+    assert format_confirmation(3, Action.COLLECT, 17, "ok", 0.25) == "MLP 3 collect 17 ok v=0.25"
+    assert format_confirmation(4, Action.PICK, 17, "missing") == "MLP 4 pick 17 missing"
+    assert parse_confirmation("MLP 4 pick 17 missing\0\0") == PayloadReport(4, Action.PICK, 17, "missing")
+    report = parse_confirmation("MLP 5 pick 17 full")
+    assert report is not None
+    assert not report.ok
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "Reached waypoint #3",
+        "",
+        "MLP",
+        "MLP 0 collect 17 ok",
+        "MLP -1 collect 17 ok",
+        "MLP 1 dance 17 ok",
+        "MLP 1 collect 17 done",
+        "MLP 1 collect 17 ok v=much",
+        f"MLP 1 collect 17 ok v={math.inf}",
+        "MLP 1 collect 17 ok v=1 2",
+        "xMLP 1 collect 17 ok",
+    ],
+)
+def test_anything_else_is_no_confirmation(text: str) -> None:
+    assert parse_confirmation(text) is None
