@@ -25,7 +25,7 @@ lint: setup  ## ruff, mypy strict, import contracts
 	@$(BIN)/ruff check .
 	@$(BIN)/ruff format --check .
 	@$(BIN)/mypy
-	@$(BIN)/lint-imports
+	@$(BIN)/lint-imports --no-logo
 
 test: lint  ## lint, then all tests
 	@$(BIN)/pytest

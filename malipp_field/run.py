@@ -8,9 +8,10 @@ from __future__ import annotations
 import asyncio
 import socket
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import AsyncExitStack
 from pathlib import Path
+from typing import Any
 
 from malipp_field.bus import Bus
 from malipp_field.clock import SimClock
@@ -97,18 +98,19 @@ async def fly(
             witnesses=(RECORDER_PRESENCE,),
             on_tick=on_tick,
         )
-        services = [asyncio.ensure_future(agent.run()) for agent in agents]
-        services.append(asyncio.ensure_future(clock.run()))
+        services = [asyncio.create_task(agent.run()) for agent in agents]
+        services.append(asyncio.create_task(clock.run()))
         return await _until_done(coordinator, services, clock)
 
 
 async def _until_done(
-    coordinator: Coordinator, services: list[asyncio.Future[None]], clock: SimClock
+    coordinator: Coordinator, services: Sequence[asyncio.Task[None]], clock: SimClock
 ) -> Outcome:
     """Run the coordinator to its end; a service that fails meanwhile ends the run with its fault."""
-    flight = asyncio.ensure_future(coordinator.run())
+    flight = asyncio.create_task(coordinator.run())
+    everything: list[asyncio.Task[Any]] = [flight, *services]
     try:
-        await asyncio.wait([flight, *services], return_when=asyncio.FIRST_COMPLETED)
+        await asyncio.wait(everything, return_when=asyncio.FIRST_COMPLETED)
         for service in services:
             if service.done():
                 service.result()
@@ -116,9 +118,9 @@ async def _until_done(
         await clock.sleep(_LAST_WORDS_S)
         return outcome
     finally:
-        for task in (flight, *services):
+        for task in everything:
             task.cancel()
-        await asyncio.gather(flight, *services, return_exceptions=True)
+        await asyncio.gather(*everything, return_exceptions=True)
 
 
 def _free_port() -> int:

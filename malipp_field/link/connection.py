@@ -130,7 +130,7 @@ class MavConnection(asyncio.DatagramProtocol):
         """Keep the transport (asyncio's callback)."""
         self._transport = cast(asyncio.DatagramTransport, transport)
 
-    def datagram_received(self, data: bytes, addr: object) -> None:  # noqa: ARG002 (asyncio's signature)
+    def datagram_received(self, data: bytes, _addr: object) -> None:
         """Hand on the messages of a datagram (asyncio's callback)."""
         for message in self.reader.feed(data):
             try:

@@ -108,11 +108,11 @@ class Driver:
         await self._command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0.0)
         await self._see(lambda v: not v.armed, "disarm")
 
-    async def go(self, seq: int) -> None:
-        """Carry out the mission on board from item ``seq``, in AUTO and armed.
+    async def stand_at(self, seq: int) -> None:
+        """Make item ``seq`` current while the vehicle stands, so that it never moves on a stale index.
 
-        The item is made current while the vehicle stands, so that it never moves on a stale index. In HOLD
-        that is only allowed once AUTO has been entered (field-facts); else AUTO is entered disarmed first.
+        In HOLD that is only allowed once AUTO has been entered (field-facts); else AUTO is entered first,
+        disarmed.
         """
         if not self.vehicle.armed:
             await self._wait_until_ready()
@@ -128,6 +128,9 @@ class Driver:
         await self._see(
             lambda v: v.mission_reports > before and v.current_seq == seq, f"make item {seq} current"
         )
+
+    async def launch(self) -> None:
+        """Set the vehicle in motion at its current item: in AUTO, and armed."""
         if self.vehicle.mode != "AUTO":
             await self.enter("AUTO")
         if not self.vehicle.armed:

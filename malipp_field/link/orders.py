@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from typing import TypeAlias
 
 from malipp_field.bus.messages import Hold, Load, Release, Start
@@ -108,12 +109,17 @@ class Orders:
         index = self._progress.first_undone(mission)
         if index is None:
             return
+        begun = self._progress.under_way
         try:
-            await self._driver.go(index + 1)
+            await self._driver.stand_at(index + 1)
+            self._progress.follow(index)  # from here on it may move, whatever the link lets us hear of it
+            await self._driver.launch()
         except LinkError:
-            await self._driver.enter("HOLD")
+            if not begun and not self._driver.vehicle.armed:
+                self._progress.unfollow()
+            with contextlib.suppress(LinkError):
+                await self._driver.enter("HOLD")
             raise
-        self._progress.follow(index)
 
     async def _release(self, uid: str) -> str:
         mission, current = self._progress.mission, self._progress.current

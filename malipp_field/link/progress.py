@@ -78,6 +78,10 @@ class Progress:
         """Count MISSION_CURRENT from now on: the vehicle is at step ``index`` of the mission on board."""
         self._followed, self._index = self.mission, index
 
+    def unfollow(self) -> None:
+        """Note that the mission was not begun after all."""
+        self._followed, self._index = None, 0
+
     def report(self, seq: int, complete: bool) -> None:
         """Take in MISSION_CURRENT. Item ``seq`` is step ``seq - 1``; at item 0 the vehicle is at no step.
 

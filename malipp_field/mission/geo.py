@@ -6,8 +6,9 @@ import pymap3d
 
 from malipp_field.mission.schema import Origin, Place
 
-# Where an abstract site (one without an origin) lies while it is simulated: MAVLink knows only degrees.
-ABSTRACT_ORIGIN = Origin(lat_deg=0.0, lon_deg=0.0, alt_m=0.0)
+# Where an abstract site (one without an origin) lies while it is simulated: MAVLink knows only degrees, and
+# ArduPilot takes a waypoint at latitude 0, longitude 0 to mean "here".
+ABSTRACT_ORIGIN = Origin(lat_deg=1.0, lon_deg=1.0, alt_m=0.0)
 
 
 def to_local(lat_deg: float, lon_deg: float, origin: Origin) -> tuple[float, float]:

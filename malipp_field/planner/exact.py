@@ -1,7 +1,7 @@
 """Outer approximation: the model of `malipp_field.planner.milp` solved and cut until J and its bound meet.
 
 The first stage minimises J. Its bound is proven at any moment: the largest dual bound of a model whose cuts
-never exceed J. Between the rounds the best plan so far is improved by ruin and recreate
+never exceed J. While it runs, the best plan so far is improved by ruin and recreate
 (`malipp_field.planner.improve`). Two more stages fix the precision found and minimise the energy,
 then the makespan.
 """
@@ -17,16 +17,16 @@ import numpy as np
 from malipp_field.field import FloatArray
 from malipp_field.planner.extract import TeamPlan, read_routes, start_point, team_plan
 from malipp_field.planner.improve import Improver
-from malipp_field.planner.linear import Effort, Outcome
+from malipp_field.planner.linear import Effort, Listener, Outcome
 from malipp_field.planner.milp import TeamModel
 from malipp_field.planner.problem import Problem, prune
 from malipp_field.planner.timing import add_timing, horizon_s
 
 _TANGENT_ROUNDS = 30
-_FIRST_CALLS = 20
-_GROWTH = 2
-_IMPROVEMENTS = 15
-"""Iterations of ruin and recreate for every call of the round before them."""
+_IMPROVEMENTS = 7.0
+"""Iterations of ruin and recreate for every ask of HiGHS, in a model of a thousand columns. They grow with the
+square of its size: small models are proven sooner than improved, large ones are not proven at all."""
+_LEAST_IMPROVEMENTS = 20
 _LAST_STAGES = 0.15
 """Share of the time limit that is kept for energy and makespan."""
 _ENERGY_SLACK = 1e-7
@@ -115,22 +115,19 @@ class InformationStage:
         self.model = TeamModel(problem, seed=search.seed, threads=search.threads)
         self.bound = 0.0
         self.rounds = 0
+        self._points: list[FloatArray] = []
         self._improver = Improver(problem, search.seed)
 
     def run(self) -> Result:
-        """Alternate rounds of branch and cut with improvement of the incumbent until the gap is closed."""
+        """Solve and cut until the gap is closed."""
         if not self._tangents():
             return Result(None, np.inf, proven=True, infeasible=True)
-        calls = _FIRST_CALLS
         while not self.search.effort.over and not self.closed:
-            outcome, news = self._round(calls)
+            outcome, news = self._round()
             if outcome.status == "infeasible":
                 return Result(None, np.inf, proven=True, infeasible=True)
-            if self.closed or (outcome.status == "optimal" and not news):
+            if outcome.status == "optimal" and not news:
                 break
-            if outcome.status == "stopped":
-                self._improve(_IMPROVEMENTS * calls)
-                calls *= _GROWTH
         return Result(self.best, self.bound, proven=self.closed)
 
     @property
@@ -141,23 +138,35 @@ class InformationStage:
         gap = relative_gap(self.best.information, self.bound)
         return self.best.information - self.bound <= 1e-9 or (gap is not None and gap <= self.search.gap)
 
-    def _improve(self, iterations: int) -> None:
-        if self.best is not None and not self.closed:
-            self.best = self._improver.improve(self.best, iterations, self.search.effort)
-            self._tell("ruin and recreate")
+    def _consider(self, point: FloatArray) -> None:
+        """Take an integer point as a plan, and keep it for cutting."""
+        self._points.append(point)
+        team = team_plan(self.problem, read_routes(self.model, point))
+        if team is not None and (self.best is None or team.rank < self.best.rank):
+            self.best = team
+            self._tell("branch and cut")
 
-    def _consider(self, points: list[FloatArray]) -> bool:
-        """Take integer points as plans and cut them; return whether the model or the incumbent changed."""
+    def _improve(self, asks: int) -> FloatArray | None:
+        """Improve the incumbent while branch and cut rests; return it as a point if it is better."""
+        if self.best is None:
+            return None
+        before = self.best
+        iterations = int(_IMPROVEMENTS * asks / 2 * (len(self.model.linear.cost) / 1000) ** 2)
+        self.best = self._improver.improve(
+            before, max(iterations, _LEAST_IMPROVEMENTS), self.search.effort
+        )
+        self._tell("ruin and recreate")
+        return None if self.best is before else start_point(self.model, self.best)
+
+    def _learn(self) -> bool:
+        """Cut the points found in a round; return whether the model changed."""
         news = False
-        for point in points:
+        for point in self._points:
             news |= self.model.add_cuts(point) > 0
-            team = team_plan(self.problem, read_routes(self.model, point))
-            if team is None and not self.model.timed:
+            if not self.model.timed and team_plan(self.problem, read_routes(self.model, point)) is None:
                 add_timing(self.model, horizon_s(self.problem))
                 news = True
-            if team is not None and (self.best is None or team.rank < self.best.rank):
-                news |= self.best is None or team.information < self.best.information - 1e-9
-                self.best = team
+        self._points.clear()
         return news
 
     def _tell(self, stage: str) -> None:
@@ -178,22 +187,20 @@ class InformationStage:
         self._tell("relaxation")
         return True
 
-    def _round(self, calls: int) -> tuple[Outcome, bool]:
-        """Run the model for so long; return the outcome and whether it taught anything."""
+    def _round(self) -> tuple[Outcome, bool]:
+        """Run the model as it is; return the outcome and whether the model has changed since."""
         self.rounds += 1
-        points: list[FloatArray] = []
         start = None if self.best is None else start_point(self.model, self.best)
-        effort = replace(self.search.effort, calls=calls)
         outcome = self.model.linear.solve(
-            effort, gap=self.search.gap / 2, start=start, on_point=points.append
-        )
+            self.search.effort, gap=self.search.gap / 2, start=start,
+            listener=Listener(on_point=self._consider, on_pause=self._improve),
+        )  # fmt: skip
         if outcome.point is not None:
-            points.append(outcome.point)
-        news = self._consider(points)
+            self._consider(outcome.point)
         most = np.inf if self.best is None else self.best.information
         self.bound = max(self.bound, min(outcome.bound, most))
         self._tell("branch and cut")
-        return outcome, news
+        return outcome, self._learn()
 
 
 def _least_energy(problem: Problem, search: Search, best: TeamPlan) -> tuple[TeamPlan, bool]:

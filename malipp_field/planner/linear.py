@@ -17,7 +17,10 @@ Terms = Iterable[tuple[int, float]]
 INFINITY = math.inf
 _TOLERANCE = 1e-7
 _INTERRUPT = highspy.cb.HighsCallbackType.kCallbackMipInterrupt
-_EVENTS = (_INTERRUPT, highspy.cb.HighsCallbackType.kCallbackMipImprovingSolution)
+_IMPROVED = highspy.cb.HighsCallbackType.kCallbackMipImprovingSolution
+_OFFER = highspy.cb.HighsCallbackType.kCallbackMipUserSolution
+_EVENTS = (_INTERRUPT, _IMPROVED, _OFFER)
+_FIRST_PAUSE = 20
 
 
 @dataclass(frozen=True)
@@ -32,18 +35,13 @@ class Outcome:
     point: FloatArray | None
 
 
-@dataclass
+@dataclass(frozen=True)
 class Effort:
-    """How long a run may take: by the clock, by work done, or until somebody cancels.
-
-    Work is counted in the calls HiGHS makes to ask whether it should stop: unlike seconds, they come at the
-    same points of the search each time, so that what is limited by them stays reproducible.
-    """
+    """How long a run may take: by the clock, or until somebody cancels."""
 
     deadline: float
     """On `time.monotonic`."""
     cancelled: Callable[[], bool] = lambda: False
-    calls: int | None = None
 
     @property
     def left_s(self) -> float:
@@ -54,6 +52,17 @@ class Effort:
     def over(self) -> bool:
         """Whether time is up or the caller has cancelled."""
         return self.left_s <= 0.0 or self.cancelled()
+
+
+@dataclass(frozen=True)
+class Listener:
+    """What the caller does while branch and cut runs."""
+
+    on_point: Callable[[FloatArray], None]
+    """Called with every improving integer point as it is found."""
+    on_pause: Callable[[int], FloatArray | None]
+    """Called after 20, 40, 80 ... asks of HiGHS whether it should stop, with that number; a point it returns is
+    given to the solver as a solution. Unlike seconds, the asks come at the same points of every search."""
 
 
 @dataclass
@@ -124,17 +133,9 @@ class LinearModel:
         *,
         gap: float,
         start: FloatArray | None = None,
-        on_point: Callable[[FloatArray], None] | None = None,
+        listener: Listener | None = None,
     ) -> Outcome:
-        """Branch and cut to a relative gap.
-
-        Parameters
-        ----------
-        start
-            A full feasible point to begin with.
-        on_point
-            Called with every improving integer point as it is found.
-        """
+        """Branch and cut to a relative gap, from a full feasible point ``start`` if there is one."""
         solver = self._live()
         self._set_integrality(relaxed=False)
         solver.clearSolver()
@@ -142,9 +143,10 @@ class LinearModel:
         solver.setOptionValue("mip_rel_gap", gap)
         if start is not None:
             _set_start(solver, start)
-        _watch(solver, effort, on_point)
+        _watch(solver, effort, listener)
         solver.run()
-        _unwatch(solver)
+        for event in _EVENTS:
+            solver.stopCallback(event)
         return _outcome(solver)
 
     def _live(self) -> Any:
@@ -186,25 +188,27 @@ def _set_start(solver: Any, start: FloatArray) -> None:
     solver.setSolution(solution)
 
 
-def _watch(solver: Any, effort: Effort, on_point: Callable[[FloatArray], None] | None) -> None:
-    calls = 0
+def _watch(solver: Any, effort: Effort, listener: Listener | None) -> None:
+    calls, pause = 0, _FIRST_PAUSE
+    offered: FloatArray | None = None
 
     def heard(what: Any, _message: str, said: Any, answer: Any, _data: object) -> None:
-        nonlocal calls
+        nonlocal calls, pause, offered
         if what == int(_INTERRUPT):
             calls += 1
-            answer.user_interrupt = effort.over or (effort.calls is not None and calls > effort.calls)
-        elif on_point is not None:
-            on_point(np.array(said.mip_solution, dtype=np.float64))
+            if listener is not None and calls == pause:
+                offered, pause = listener.on_pause(calls), 2 * pause
+            answer.user_interrupt = effort.over
+        elif what == int(_IMPROVED):
+            if listener is not None:
+                listener.on_point(np.array(said.mip_solution, dtype=np.float64))
+        elif offered is not None:
+            answer.setSolution(offered)
+            offered = None
 
     solver.setCallback(heard, None)
     for event in _EVENTS:
         solver.startCallback(event)
-
-
-def _unwatch(solver: Any) -> None:
-    for event in _EVENTS:
-        solver.stopCallback(event)
 
 
 def _outcome(solver: Any) -> Outcome:

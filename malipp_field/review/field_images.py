@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from malipp_field.bus.messages import Confirmation
 from malipp_field.field import FloatArray, Observation, posterior
 from malipp_field.mission import node_positions
+from malipp_field.mission.schema import Kernel
 from malipp_field.record import Run
 from malipp_field.review.site import Frame, frame
 from malipp_field.review.summary import done
@@ -67,30 +68,39 @@ def grid(run: Run) -> Grid:
 def estimates(run: Run, cells: Grid) -> Iterator[Estimate]:
     """Yield the prior and then the field after each confirmed sample."""
     taken = done(run, Action.COLLECT)
+    observed = _observations(run, taken)
     counts = np.unique(np.linspace(0, len(taken), min(len(taken), _MOST_IMAGES) + 1).astype(int))
     for count in counts:
-        yield _estimate(run, cells, taken[: int(count)])
+        time_s = taken[count - 1].time_s if count else run.start_s
+        yield _estimate(run.mission.field.kernel, cells, time_s, taken[:count], observed[:count])
 
 
-def _estimate(run: Run, cells: Grid, taken: list[Confirmation]) -> Estimate:
-    kernel, centres, shape = run.mission.field.kernel, cells.centres(), (cells.rows, cells.columns)
-    observed = [(said, _observation(run, said)) for said in taken]
-    mean, std = posterior(kernel, [observation for _, observation in observed], centres)
-    measured = [observation for said, observation in observed if said.value is not None]
+def _observations(run: Run, taken: list[Confirmation]) -> list[Observation]:
+    """Return samples as the estimate takes them; where a value is missing only the precision counts."""
+    places = node_positions(run.mission)
+    return [
+        Observation(
+            *places[said.node],
+            value=0.0 if said.value is None else said.value,
+            noise_variance=run.mission.robot(said.robot).noise_variance,
+        )
+        for said in taken
+    ]
+
+
+def _estimate(
+    kernel: Kernel, cells: Grid, time_s: float, taken: list[Confirmation], observed: list[Observation]
+) -> Estimate:
+    centres, shape = cells.centres(), (cells.rows, cells.columns)
+    mean, std = posterior(kernel, observed, centres)
+    measured = [seen for said, seen in zip(taken, observed, strict=True) if said.value is not None]
     if len(measured) < len(observed):
         mean, _ = posterior(kernel, measured, centres)
     return Estimate(
-        time_s=taken[-1].time_s if taken else run.start_s,
+        time_s=time_s,
         std=std.reshape(shape).astype(np.float32),
         mean=mean.reshape(shape).astype(np.float32) if measured else None,
     )
-
-
-def _observation(run: Run, said: Confirmation) -> Observation:
-    """Return a sample as the estimate takes it; where a value is missing only its precision is used."""
-    x_m, y_m = node_positions(run.mission)[said.node]
-    value = 0.0 if said.value is None else said.value
-    return Observation(x_m, y_m, value, run.mission.robot(said.robot).noise_variance)
 
 
 def value_ranges(images: list[Estimate]) -> dict[str, tuple[float, float]]:

@@ -105,7 +105,7 @@ def _log_track(
 def _track_radius(run: Run, above: int) -> float:
     """Return half the width of a track in markers: a lower one is wider, so that its rims are seen."""
     beneath = min(len(run.telemetry) - 1 - above, 3)
-    return 0.26 + 0.22 * beneath
+    return 0.26 + 0.18 * beneath
 
 
 def _log_position(

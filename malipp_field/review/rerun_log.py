@@ -9,7 +9,7 @@ entity                             what it shows
 ``site/drops``, ``site/depots``    what lies or lay at dead drops, and the tally of each depot
 ``site/team/ROBOT/...``            route planned (a new one with every plan), track, position and load
 ``series/...``                     energy, load and J over time
-``states/ROBOT``                   what the robot was doing
+``states/ROBOT``, ``/plan``        what the robot was doing, and which plan was in force
 ``log/...``                        events, replans and payload actions in words
 ``map/...``                        positions in degrees, for the online map
 =================================  ===================================================================

@@ -39,6 +39,9 @@ def log_series(timeline: Timeline, run: Run) -> None:
         _log_payload(timeline, run, robot, color)
         _log_states(timeline, run, robot)
     _log_information(timeline, run)
+    for adopted in run.plans:
+        # A row of its own among the states: where it changes colour, there was a replan.
+        timeline.log(adopted.time_s, "states/plan", rr.StateChange(state=f"plan {adopted.plan.version}"))
 
 
 def _log_energy(timeline: Timeline, run: Run, robot: str, color: Color) -> None:

@@ -33,7 +33,7 @@ class Flight:
         return any(words in event.text for event in self.events)
 
 
-def go_straight_home(_mission: Mission, *, state: TeamState, warm_start: Plan, version: int) -> Plan:
+def go_straight_home(mission: Mission, *, state: TeamState, warm_start: Plan, version: int) -> Plan:
     """Plan as a frightened person would: everybody home at once."""
     robots = tuple(
         RobotPlan(

@@ -125,8 +125,43 @@ def test_start_waits_for_the_position_estimate() -> None:
         await yard.order(Load(mission=yard.mission(*ROUND)))
         assert "not ready to arm" in (await yard.order(Start())).text
         assert mode_of(yard) == mavlink.ROVER_MODE_HOLD
+        assert yard.telemetry.step_uid is None
 
     Yard(config=RoverConfig(ready_after_s=4000.0)).run(never)
+
+
+def test_a_vehicle_that_will_not_arm_can_be_given_another_mission() -> None:
+    async def scene(yard: Yard) -> None:
+        await yard.order(Load(mission=yard.mission(*ROUND)))
+        yard.rover.autopilot.arm = lambda force=False: False  # type: ignore[method-assign]
+        reply = await yard.order(Start())
+        assert reply.text == "COMPONENT_ARM_DISARM was refused (MAV_RESULT_FAILED)"
+        assert mode_of(yard) == mavlink.ROVER_MODE_HOLD
+        assert yard.telemetry.step_uid is None
+        assert (await yard.order(Load(mission=yard.mission("drive b", version=2)))).ok
+
+    Yard().run(scene)
+
+
+def test_what_a_vehicle_does_counts_even_if_the_link_is_lost_while_it_is_launched() -> None:
+    async def scene(yard: Yard) -> None:
+        await fly(yard, *ROUND)
+        await yard.until(lambda: yard.telemetry.step_uid == "collect a 1")
+        yard.watch = lambda message: cut_at_auto(yard, message)
+        reply = await yard.order(Load(mission=yard.mission(*ROUND, version=2), resume=True))
+        assert not reply.ok
+        assert mode_of(yard) == mavlink.ROVER_MODE_AUTO  # it cannot be told
+        yard.cut, yard.watch = False, lambda message: None
+        await yard.until(lambda: yard.telemetry.finished)
+        assert [uid for _, uid, _ in yard.confirmed] == WORK_DONE
+
+    Yard().run(scene)
+
+
+def cut_at_auto(yard: Yard, message: Any) -> None:
+    """Cut the link as soon as the order to enter AUTO has arrived."""
+    if message.get_type() == "COMMAND_LONG" and message.command == mavlink.MAV_CMD_DO_SET_MODE:
+        yard.cut = yard.cut or message.param2 == mavlink.ROVER_MODE_AUTO
 
 
 NEW_PLAN = ("drive a", "collect a 1", "drive base", "unload base 1")

@@ -9,6 +9,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import pytest
+import synthetic_plan
 import synthetic_run
 from mcap.data_stream import ReadDataStream
 from mcap.reader import make_reader
@@ -83,8 +84,8 @@ def test_mission_and_plans_are_attached_and_the_software_is_named(mcap_file: Pat
         attached = {a.name: a.data.decode() for a in reader.iter_attachments()}
         metadata = {m.name: m.metadata for m in reader.iter_metadata()}
     assert attached.keys() == {"mission.yaml", "plan-1.json", "plan-2.json"}
-    assert attached["mission.yaml"] == synthetic_run.MISSION
-    assert parse_plan(attached["plan-2.json"]) == synthetic_run.plan(2)
+    assert attached["mission.yaml"] == synthetic_plan.MISSION
+    assert parse_plan(attached["plan-2.json"]) == synthetic_plan.plan(2)
     assert {"malipp-field", "mcap", "python"} <= metadata["software"].keys()
 
 
@@ -105,7 +106,7 @@ def test_rerun_opens_it_without_this_project(mcap_file: Path, said: list[tuple[s
 def test_everything_is_read_back_as_it_was_said(mcap_file: Path, said: list[tuple[str, Message]]) -> None:
     run = read_run(mcap_file)
     assert run.complete
-    assert run.mission == synthetic_run.mission()
+    assert run.mission == synthetic_plan.mission()
     assert run.start_s == synthetic_run.START_S
     assert list(run.plans) == [m for _, m in said if isinstance(m, PlanAdopted)]
     assert list(run.confirmations) == [m for _, m in said if isinstance(m, Confirmation)]

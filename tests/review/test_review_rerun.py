@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import synthetic_plan
 import synthetic_run
 from rerun.chunk import RrdReader
 
@@ -91,10 +92,10 @@ def test_every_moment_has_both_times(rows: Rows) -> None:
 def test_the_map_keeps_true_metres_and_is_mirrored_once(rows: Rows) -> None:
     (mirror,) = [row for row in rows["/site"] if "Transform3D:scale" in row]
     assert list(mirror["Transform3D:scale"][0]) == [1.0, -1.0, 1.0]
-    places = node_positions(synthetic_run.mission())
+    places = node_positions(synthetic_plan.mission())
     (candidates,) = rows["/site/nodes/candidate"]
     drawn = {tuple(np.round(xy, 3)) for xy in candidates["Points2D:positions"]}
-    ids = [node.id for node in synthetic_run.mission().site.nodes if node.role == "candidate"]
+    ids = [node.id for node in synthetic_plan.mission().site.nodes if node.role == "candidate"]
     assert drawn == {places[node] for node in ids}
     (names,) = rows["/site/names/nodes"]
     assert names["Points2D:labels"] == ids
@@ -108,8 +109,8 @@ def test_energy_in_percent_of_the_budget_against_both_plans(rows: Rows, run: Run
         100.0 * (reports[-1].energy_used_j - synthetic_run.IDLE_J) / 6500.0
     )
     first = _timed(rows, "/series/energy/mule/plan_1", "Scalars:scalars")
-    assert first[-1][1][0] == pytest.approx(100.0 * synthetic_run.plan(1).robot("mule").energy_j / 6500.0)
-    assert _timed(rows, "/series/energy/mule/plan_2", "Scalars:scalars")[0][0] == synthetic_run.REPLAN_S
+    assert first[-1][1][0] == pytest.approx(100.0 * synthetic_plan.plan(1).robot("mule").energy_j / 6500.0)
+    assert _timed(rows, "/series/energy/mule/plan_2", "Scalars:scalars")[0][0] == synthetic_plan.REPLAN_S
 
 
 def test_the_load_is_seen_as_a_number_an_area_and_a_label(rows: Rows) -> None:
@@ -122,13 +123,13 @@ def test_the_load_is_seen_as_a_number_an_area_and_a_label(rows: Rows) -> None:
 
 
 def test_track_and_routes(rows: Rows) -> None:
-    places = node_positions(synthetic_run.mission())
+    places = node_positions(synthetic_plan.mission())
     stages = _timed(rows, "/site/team/lark/track", "LineStrips2D:strips")
     assert all(len(a[1][0]) < len(b[1][0]) for a, b in pairwise(stages))
     assert np.allclose(stages[-1][1][0][0], places["base"], atol=0.2)
     assert np.allclose(stages[-1][1][0][-1], places["base"], atol=0.5)
     first, second = _timed(rows, "/site/team/kite/route", "LineStrips2D:strips")
-    assert (first[0], second[0]) == (-1.0, synthetic_run.REPLAN_S)
+    assert (first[0], second[0]) == (-1.0, synthetic_plan.REPLAN_S)
     assert len(first[1][0]) == 9  # camp e2 e3 e4 e5 e6 e5 e4 camp
     assert len(second[1][0]) == 4  # from where it was: e5 e4 camp
 
@@ -194,6 +195,8 @@ def test_words_states_and_the_online_map(rows: Rows) -> None:
     assert states[0] == "ready"
     assert states[-1] == "finished"
     assert {"driving", "sampling", "picking", "unloading"} <= set(states)
+    versions = _timed(rows, "/states/plan", "StateChange:state")
+    assert versions == [(-1.0, ["plan 1"]), (synthetic_plan.REPLAN_S, ["plan 2"])]
     assert _timed(rows, "/map/mule", "GeoPoints:positions")
 
 
@@ -247,7 +250,7 @@ def _at_null_island(report: Telemetry) -> Telemetry:
 
 
 def test_the_frame_of_a_single_node_has_a_size() -> None:
-    mission = synthetic_run.mission()
+    mission = synthetic_plan.mission()
     site = mission.site.model_copy(update={"nodes": mission.site.nodes[:1], "edges": (), "keep_outs": ()})
     area = frame(mission.model_copy(update={"site": site}))
     assert isinstance(area, Frame)

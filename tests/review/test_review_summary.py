@@ -9,6 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+import synthetic_plan
 import synthetic_run
 from rich.console import Console
 
@@ -40,7 +41,7 @@ def summary(run: Run) -> Summary:
 
 
 def _legs(robot: str) -> list[float]:
-    places = node_positions(synthetic_run.mission())
+    places = node_positions(synthetic_plan.mission())
     return [math.dist(places[a], places[b]) for a, b in pairwise(DRIVEN[robot].split())]
 
 
@@ -54,30 +55,30 @@ def test_energy_time_and_distance_of_each_robot(summary: Summary, robot: str) ->
     )
     assert figures.energy_used_j == pytest.approx(energy_j, rel=1e-9)
     assert figures.distance_m == pytest.approx(sum(_legs(robot)), abs=0.5)
-    first = synthetic_run.plan(1).robot(robot)
+    first = synthetic_plan.plan(1).robot(robot)
     assert figures.energy_planned_j == pytest.approx(first.energy_j)
     assert figures.time_planned_s == first.route[-1].depart_s
 
 
 def test_a_robot_that_meets_no_surprise_takes_the_time_its_last_plan_said(summary: Summary) -> None:
     taken = {r.robot: r.time_taken_s for r in summary.robots}
-    assert taken["lark"] == pytest.approx(synthetic_run.plan(2).robot("lark").route[-1].depart_s, abs=0.5)
+    assert taken["lark"] == pytest.approx(synthetic_plan.plan(2).robot("lark").route[-1].depart_s, abs=0.5)
     # mule drives 0.55 as fast as planned and serves five stops, of which the wait at e3 costs nothing
-    mule_s = sum(_legs("mule")) / (1.4 * synthetic_run.SLOW) + 5 * synthetic_run.SERVICE_S
+    mule_s = sum(_legs("mule")) / (1.4 * synthetic_run.SLOW) + 5 * synthetic_plan.SERVICE_S
     assert taken["mule"] == pytest.approx(mule_s, abs=1e-3)
 
 
 def test_information_planned_and_achieved(summary: Summary) -> None:
     j = summary.information
     assert j.prior == 7.0  # six test points of variance 1, one of them with weight 2
-    assert j.planned == pytest.approx(_by_estimator(synthetic_run.PLANNED_SAMPLES[1]))
-    assert j.last_planned == pytest.approx(_by_estimator(synthetic_run.PLANNED_SAMPLES[2]))
-    assert j.achieved == pytest.approx(_by_estimator(synthetic_run.PLANNED_SAMPLES[2]))
+    assert j.planned == pytest.approx(_by_estimator(synthetic_plan.PLANNED_SAMPLES[1]))
+    assert j.last_planned == pytest.approx(_by_estimator(synthetic_plan.PLANNED_SAMPLES[2]))
+    assert j.achieved == pytest.approx(_by_estimator(synthetic_plan.PLANNED_SAMPLES[2]))
 
 
 def _by_estimator(samplers: dict[str, str]) -> float:
     """Return J by the textbook formula over the sampled nodes alone."""
-    mission = synthetic_run.mission()
+    mission = synthetic_plan.mission()
     kernel, places = mission.field.kernel, node_positions(mission)
     v = np.array([places[node] for node in samplers])
     t = np.array([(point.x_m, point.y_m) for point in mission.field.test_points])
@@ -94,7 +95,7 @@ def test_counts_and_replans(summary: Summary) -> None:
     assert (len(summary.samples), summary.delivered) == (10, 10)
     (replan,) = summary.replans
     assert (replan.version, replan.reason) == (2, synthetic_run.REASON)
-    assert replan.time_s == pytest.approx(synthetic_run.REPLAN_S)
+    assert replan.time_s == pytest.approx(synthetic_plan.REPLAN_S)
     assert replan.vehicles == ("lark", "kite", "mule")
 
 
@@ -136,7 +137,7 @@ def test_a_failed_collection_gains_nothing(run: Run) -> None:
             c.model_copy(update={"ok": False}) if c.node == "w3" else c for c in run.confirmations
         ),
     )
-    without = {node: r for node, r in synthetic_run.PLANNED_SAMPLES[2].items() if node != "w3"}
+    without = {node: r for node, r in synthetic_plan.PLANNED_SAMPLES[2].items() if node != "w3"}
     assert summarise(failed).information.achieved == pytest.approx(_by_estimator(without))
 
 
@@ -154,12 +155,12 @@ def test_before_any_plan_there_is_nothing_to_compare_with(run: Run) -> None:
 def test_a_new_plan_predicts_from_what_was_measured(run: Run) -> None:
     times, used = energy_used(run, "mule")
     first, second = predicted_energy(run, "mule")
-    measured = np.interp(synthetic_run.REPLAN_S, times, used)
-    assert second[0][0] == pytest.approx(synthetic_run.REPLAN_S)
+    measured = np.interp(synthetic_plan.REPLAN_S, times, used)
+    assert second[0][0] == pytest.approx(synthetic_plan.REPLAN_S)
     assert second[1][0] == pytest.approx(measured)
     # until its free part begins at 156 s it goes on as plan 1 does, then come its own legs
-    committed = np.interp(156.0, *first) - np.interp(synthetic_run.REPLAN_S, *first)
-    own = synthetic_run.plan(2).robot("mule").energy_j
+    committed = np.interp(156.0, *first) - np.interp(synthetic_plan.REPLAN_S, *first)
+    own = synthetic_plan.plan(2).robot("mule").energy_j
     assert second[1][-1] == pytest.approx(measured + committed + own)
     assert np.all(np.diff(second[1]) >= 0.0)
     assert np.all(np.diff(second[0]) >= 0.0)

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from vehicle_cases import ROBOTS, handoff_plan, plan_of, random_plan, small_mission, stop
 
 from malipp_field.errors import PlanError
-from malipp_field.mission import to_globe
+from malipp_field.mission import ABSTRACT_ORIGIN, to_globe
 from malipp_field.plan import Plan
 from malipp_field.vehicle.compile import Compiled, Custody, compile_plan
 from malipp_field.vehicle.steps import MAX_TAG, Action, Step
@@ -106,10 +106,11 @@ def test_uids_places_and_peers() -> None:
     assert (scout.version, scout.steps[0].stop) == (1, 1)
 
 
-def test_an_abstract_site_lies_in_the_gulf_of_guinea() -> None:
+def test_an_abstract_site_lies_at_a_place_of_its_own() -> None:
     compiled = compile_plan(small_mission(abstract=True), handoff_plan())
-    home = compiled.missions["scout"].home
-    assert (home.lat_deg, home.lon_deg) == pytest.approx((0.0, 0.0), abs=1e-9)
+    home, first = compiled.missions["scout"].home, compiled.missions["scout"].steps[0].place
+    assert (home.lat_deg, home.lon_deg) == to_globe(0.0, 0.0, ABSTRACT_ORIGIN)
+    assert (first.lat_deg, first.lon_deg) == to_globe(45.0, 10.0, ABSTRACT_ORIGIN)
 
 
 @given(st.integers(0, 10**6))
