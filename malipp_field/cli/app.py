@@ -15,7 +15,6 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
-import click
 import typer
 
 from malipp_field import __version__
@@ -279,22 +278,22 @@ async def _simulate(mission: Mission, port: int, speed: float) -> None:
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line and exit with its status."""
     logging.basicConfig(level=logging.WARNING, format="%(levelname)s %(name)s: %(message)s")
-    sys.exit(_status(lambda: app(arguments, standalone_mode=False)))
+    sys.exit(_status(lambda: app(arguments, prog_name="malipp", standalone_mode=False)))
 
 
 def _status(command: Callable[[], object]) -> int:
     try:
         result = command()
-    except click.ClickException as fault:
+    except typer.TyperException as fault:
         context = getattr(fault, "ctx", None)
-        where = context.command_path if context is not None else "malipp"
-        message = " ".join(fault.format_message().split())
+        where = "malipp" if context is None else context.command_path
+        message = " ".join(str(getattr(fault, "format_message", fault.__str__)()).split())
         typer.echo(f"{where}: {message} (see {where} --help)", err=True)
         return INPUT_ERROR
     except MalippError as fault:
         typer.echo(str(fault), err=True)
         return INPUT_ERROR
-    except (KeyboardInterrupt, click.Abort):
+    except (KeyboardInterrupt, typer.Abort):
         typer.echo("interrupted", err=True)
         return 130
     return result if isinstance(result, int) else 0

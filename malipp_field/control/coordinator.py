@@ -27,6 +27,7 @@ from malipp_field.bus import (
     vehicle_key,
 )
 from malipp_field.clock import Clock
+from malipp_field.control.experience import Experience
 from malipp_field.control.ledger import CustodyLedger
 from malipp_field.control.lookahead import LookAhead, Outlook, Roads
 from malipp_field.control.orders import Orders
@@ -40,7 +41,7 @@ from malipp_field.vehicle.compile import compile_plan
 from malipp_field.vehicle.steps import Action, VehicleMission
 
 _TICK_S = 0.5
-_AGREEMENT_S = 5.0  # from a plan to all vehicles verified, on top of the planner's time limit
+_AGREEMENT_S = 8.0  # from a plan to all vehicles verified, on top of the planner's time limit
 _PAUSE_S = 60.0  # between replans, so that noise does not cause churn
 _RELEASE_AGAIN_S = 5.0  # a gate that is still shut so long after it was to open is tried again
 _PRESENCE_TIMEOUT_S = 60.0
@@ -102,6 +103,7 @@ class Coordinator:
         self._orders = Orders(mission.name, bus, clock)
         self._roads = Roads(mission)
         self._lookahead = LookAhead(mission, self._roads, mission.replanning.time_limit_s + _AGREEMENT_S)
+        self._experience = Experience()
         self.ledger = CustodyLedger()
         compiled = compile_plan(mission, plan)
         self.tracks = {
@@ -159,7 +161,19 @@ class Coordinator:
         (self._present.add if there else self._present.discard)(name)
 
     def _on_telemetry(self, _key: str, telemetry: Telemetry) -> None:
-        self.tracks[telemetry.robot].update(telemetry)
+        track = self.tracks[telemetry.robot]
+        track.update(telemetry, self._roads, len(self.ledger.on_board(telemetry.robot)))
+        if track.leg_done is not None:
+            self._learn(telemetry.robot, *track.leg_done)
+            track.leg_done = None
+
+    def _learn(self, robot: str, tail: str, head: str, time_ratio: float, energy_ratio: float) -> None:
+        if self._experience.note(tail, head, time_ratio, energy_ratio):
+            self._say(
+                "warning",
+                f"{tail} to {head} took {time_ratio:.1f} times the time and {energy_ratio:.1f} times the energy",
+                robot,
+            )
 
     def _on_confirmation(self, _key: str, confirmation: Confirmation) -> None:
         what = f"{confirmation.action} of container {confirmation.tag} at {confirmation.node}"
@@ -279,6 +293,8 @@ class Coordinator:
     async def _replan(self, trigger: str) -> None:
         self._say("info", f"replanning: {trigger}")
         with self._clock.real_time():
+            for robot, track in self.tracks.items():
+                self._learn_from_leg_in_progress(robot, track)
             outlook = self._outlook()
             plan = await self._plan_rest(outlook)
             if not plan.robots:
@@ -289,6 +305,12 @@ class Coordinator:
                 await self._put_in_force(revision, trigger)
         self._quiet_until_s = self._clock.now_s() + _PAUSE_S
 
+    def _learn_from_leg_in_progress(self, robot: str, track: Track) -> None:
+        step = track.step
+        if step is not None and step.action is Action.DRIVE:
+            now = track.whereabouts(self._roads, len(self.ledger.on_board(robot)))
+            self._experience.note(now.last_node, step.node, now.time_ratio, now.energy_ratio)
+
     def _outlook(self) -> Outlook:
         whereabouts = {
             robot: track.whereabouts(self._roads, len(self.ledger.on_board(robot)))
@@ -297,15 +319,16 @@ class Coordinator:
         return self._lookahead.outlook(self.mission_time_s, whereabouts, self.ledger)
 
     async def _plan_rest(self, outlook: Outlook) -> Plan:
-        """Plan with the mission's energy reserve; where that is too much to ask by now, without it."""
-        plan = await self._solve(self.mission, outlook)
-        if plan.status == "infeasible" and self.mission.planner.energy_reserve > 0.0:
+        """Plan with an energy reserve; where that is too much to ask by now, without it."""
+        plan = await self._solve(outlook, self.mission.replanning.energy_reserve)
+        if plan.status == "infeasible" and self.mission.replanning.energy_reserve > 0.0:
             self._say("warning", f"the energy reserve cannot be kept: {plan.reason}")
-            options = self.mission.planner.model_copy(update={"energy_reserve": 0.0})
-            plan = await self._solve(self.mission.model_copy(update={"planner": options}), outlook)
+            plan = await self._solve(outlook, 0.0)
         return plan
 
-    async def _solve(self, mission: Mission, outlook: Outlook) -> Plan:
+    async def _solve(self, outlook: Outlook, energy_reserve: float) -> Plan:
+        options = self.mission.planner.model_copy(update={"energy_reserve": energy_reserve})
+        mission = self._experience.applied_to(self.mission.model_copy(update={"planner": options}))
         warm_start = remainder(self.plan, self.tracks, outlook)
         return await asyncio.to_thread(
             self._planner, mission, state=outlook.state, warm_start=warm_start, version=self.plan.version + 1

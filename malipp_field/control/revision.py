@@ -10,7 +10,7 @@ from malipp_field.control.lookahead import Outlook
 from malipp_field.mission import Mission
 from malipp_field.plan import Plan
 from malipp_field.vehicle.compile import Custody, compile_plan
-from malipp_field.vehicle.steps import Sample, Step, VehicleMission
+from malipp_field.vehicle.steps import Action, Sample, Step, VehicleMission
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ def revise(
         first_free = len(old.steps) if diverges_at is None else old.index_of(diverges_at)
         assert first_free is not None
         if not same_work(old.steps[first_free:], part.steps):
-            steps = (*outlook.committed[robot_id], *part.steps)
+            steps = (*outlook.committed[robot_id], *part.steps) or (_stay(robot_id, old, diverges_at, plan),)
             missions[robot_id] = VehicleMission(
                 robot=robot_id, version=plan.version, home=part.home, steps=steps
             )
@@ -84,3 +84,11 @@ def same_work(old: Sequence[Step], new: Sequence[Step]) -> bool:
         return [(step.action, step.node, step.tags, step.peer) for step in steps]
 
     return work(old) == work(new)
+
+
+def _stay(robot_id: str, old: VehicleMission, diverges_at: str | None, plan: Plan) -> Step:
+    """Return the only step of a vehicle that is to stay at its gate: autopilots refuse an empty mission."""
+    here = next(step for step in old.steps if step.uid == diverges_at)
+    return here.model_copy(
+        update={"uid": f"v{plan.version}/{robot_id}/0/stay", "action": Action.DRIVE, "tags": (), "peer": None}
+    )

@@ -22,6 +22,8 @@ class Track:
         self.robot_id = robot_id
         self.mission = vehicle_mission
         self.telemetry: Telemetry | None = None
+        self.leg_done: tuple[str, str, float, float] | None = None
+        """The edge driven last (tail, head), with measured over predicted time and energy."""
         self.changed_s = 0.0
         """Clock time at which the current step last changed."""
         self.progress_s = 0.0
@@ -61,8 +63,11 @@ class Track:
         assert self.telemetry is not None, "a vehicle is followed only once it has reported"
         return to_local(self.telemetry.lat_deg, self.telemetry.lon_deg, self._origin)
 
-    def update(self, telemetry: Telemetry) -> None:
-        """Take in a report. One about another mission than the one in force says nothing of progress."""
+    def update(self, telemetry: Telemetry, roads: Roads, load: int) -> None:
+        """Take in a report. One about another mission than the one in force says nothing of progress.
+
+        ``load`` is what the vehicle has had on board since it began the step it was at.
+        """
         if (
             telemetry.step_uid is not None
             and telemetry.mission_version == self.mission.version
@@ -70,6 +75,8 @@ class Track:
         ):
             return
         before = None if self.telemetry is None else self.telemetry.step_uid
+        if telemetry.step_uid != before and self.step is not None and self.step.action is Action.DRIVE:
+            self.leg_done = (self.last_node, self.step.node, *self._ratios(roads, load))
         self.telemetry = telemetry
         if telemetry.step_uid != before:
             self.changed_s = telemetry.time_s

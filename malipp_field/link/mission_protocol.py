@@ -8,6 +8,7 @@ uploader with MAV_MISSION_DENIED, and an item when no upload is going on with MA
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Sequence
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -70,8 +71,9 @@ class MissionExchange(Exchange):
             return []
         return self._answered(message, now_s)
 
+    @abstractmethod
     def _answered(self, message: MavMessage, now_s: float) -> list[MavMessage]:
-        raise NotImplementedError
+        """Take in what the vehicle answers us about its mission."""
 
     def _wait_for_turn(self, result: int, now_s: float) -> list[MavMessage]:
         """Note that the vehicle cannot just now; the pending question is repeated until the limit."""
@@ -109,7 +111,7 @@ class MissionUpload(MissionExchange):
             raise ValueError("the items of a mission are numbered from 0 without gaps")
         self._items = list(items)
         self._given: set[int] = set()
-        self._wanted: int | None = None  # item last asked for; None while MISSION_COUNT is the question
+        self._wanted: int | None = None  # how far it has asked; None while MISSION_COUNT is the question
         self._attempts = 0
         self._refusal: int | None = None
 
@@ -170,14 +172,11 @@ class MissionUpload(MissionExchange):
         if seq >= len(self._items) or self.ended:
             return []
         self._given.add(seq)
-        if self._wanted is not None and seq < self._wanted and self._recent(now_s):
-            return [self._item_message(seq)]
-        self._wanted, self._refusal, self._busy_since_s = seq, None, None
-        return self._ask(now_s, ITEM_TIMEOUT_S)
-
-    def _recent(self, now_s: float) -> bool:
-        """Whether a request for a later item came so lately that one for an earlier item is a late one."""
-        return now_s < self._heard_s + DEFAULT_TIMEOUT_S
+        # A late request for an earlier item does not mean that the vehicle has gone back.
+        self._wanted = seq if self._wanted is None else max(self._wanted, seq)
+        self._refusal = self._busy_since_s = None
+        self._ask(now_s, ITEM_TIMEOUT_S)
+        return [self._item_message(seq)]
 
     def _acknowledged(self, result: int, now_s: float) -> list[MavMessage]:
         if result == mavlink.MAV_MISSION_ACCEPTED:

@@ -147,6 +147,8 @@ class Replanning(StrictModel):
     """Energy used beyond the plan, as a share of the budget, that asks for a new plan."""
     time_limit_s: Positive = 5.0
     """Seconds the planner may think while the team drives on."""
+    energy_reserve: Annotated[float, Field(ge=0, lt=1)] = 0.05
+    """Share of the energy left that a new plan does not count on, if there is one that can do without."""
     stall_s: Positive = 900.0
     """A mission in which no vehicle gets any further for this long is over."""
 

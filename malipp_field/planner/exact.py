@@ -111,12 +111,13 @@ class InformationStage:
     """The first stage: minimise J."""
 
     def __init__(self, problem: Problem, search: Search, start: TeamPlan | None) -> None:
-        self.problem, self.search, self.best = problem, search, start
+        self.problem, self.search = problem, search
+        self._improver = Improver(problem, search.seed)
+        self.best = start or self._improver.construct()
         self.model = TeamModel(problem, seed=search.seed, threads=search.threads)
         self.bound = 0.0
         self.rounds = 0
         self._points: list[FloatArray] = []
-        self._improver = Improver(problem, search.seed)
 
     def run(self) -> Result:
         """Solve and cut until the gap is closed."""

@@ -14,11 +14,13 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from malipp_field.field import FloatArray
-from malipp_field.planner.draft import COLLECTED, Draft, Sample, draft_of
+from malipp_field.planner.draft import COLLECTED, ON_BOARD, STOCK, Draft, Sample, draft_of
 from malipp_field.planner.extract import TeamPlan, team_plan
 from malipp_field.planner.linear import Effort
 from malipp_field.planner.problem import Problem
 
+_CONSTRUCTIONS = 20
+"""Attempts to build a plan where there is none to begin with."""
 _TRIES = 40
 """Ways home tried for each insertion."""
 _OWN_WAY = 0.35
@@ -61,6 +63,36 @@ class Improver:
                 best, best_value = current, value
         found = team_plan(self.problem, best.visits())
         return found if found is not None and found.rank < team.rank else team
+
+    def construct(self) -> TeamPlan | None:
+        """Return a plan in which every robot goes to a depot and what must come home does; None if none is found.
+
+        The paper's fallback of direct-depot routes, with samples on board and in drops put in one by one.
+        """
+        for _ in range(_CONSTRUCTIONS):
+            draft = Draft(self.problem, [[robot.start, robot.start] for robot in self.problem.robots], [])
+            draft.tidy()
+            must = [
+                Sample(ON_BOARD, robot.start, r) for r, robot in enumerate(self.problem.robots)
+                for _ in range(robot.on_board)
+            ]  # fmt: skip
+            must += [
+                Sample(STOCK, stock.node, 0, (), s) for s, stock in enumerate(self.problem.stocks)
+                for _ in range(stock.count)
+            ]  # fmt: skip
+            self._random.shuffle(must)
+            if all(self._place(draft, sample) for sample in must):
+                found = team_plan(self.problem, draft.visits())
+                if found is not None:
+                    return found
+        return None
+
+    def _place(self, draft: Draft, sample: Sample) -> bool:
+        """Put in a sample that must come home; one on board may simply stay there if its robot can carry it."""
+        if sample.kind == ON_BOARD and not math.isinf(draft.energy_j(sample.robot)):
+            draft.add(sample)
+            return True
+        return self._insert(draft, [(sample, 1.0)])
 
     # objective
 
@@ -188,7 +220,7 @@ class Improver:
     ) -> tuple[float, Sample, dict[int, list[int]]] | None:
         """Return a random way home for a sample: its cost in shares of budgets, and the routes it changes."""
         r, routes = bare.robot, {}
-        if bare.kind > COLLECTED and bare.stock >= 0:
+        if bare.kind == STOCK:
             r = self._random.randrange(len(draft.routes))
             bare = Sample(bare.kind, bare.node, r, (), bare.stock)
             if bare.node not in self._places[r]:
@@ -225,10 +257,11 @@ class Improver:
         draft.count(sample, 1)
         cost = 0.0
         for r in routes:
-            more = draft.energy_j(r) - before[r]
-            if math.isinf(more):
-                cost = more
+            energy = draft.energy_j(r)
+            if math.isinf(energy):
+                cost = energy
                 break
+            more = energy - (0.0 if math.isinf(before[r]) else before[r])
             cost += max(more, 0.0) / max(self.problem.robots[r].budget_j, 1e-9)
         draft.count(sample, -1)
         draft.routes = old

@@ -182,7 +182,7 @@ def _no_routes(request: Request, status: Status, reason: str) -> Plan:
 
 
 def _checked(request: Request, plan: Plan) -> Plan:
-    faults = verify(request.mission, plan, request.state)
+    faults = verify(request.mission, plan, request.state) if plan.robots else []
     if faults:
         raise RuntimeError("the planner made a plan that breaks a rule: " + "; ".join(map(str, faults)))
     return plan

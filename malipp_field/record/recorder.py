@@ -28,12 +28,17 @@ RECORDER_PRESENCE = "recorder"
 FLUSH_INTERVAL_S = 0.5
 """Wall time between two flushes. With the disk's own time to write, a power cut costs less than a second."""
 
+SETTLE_S = 0.5
+"""On leaving, the wall time without news (telemetry is none) after which nothing more is on its way."""
+SETTLE_LIMIT_S = 5.0
+"""The longest wait for that, on a bus that does not fall silent."""
+
 
 class Recorder:
     """Records one mission's messages while the context lasts.
 
-    Enter it before the coordinator publishes the mission, and leave it after the last message that counts
-    has arrived. Leaving finishes the file, also when the run failed; messages that come later are ignored.
+    Enter it before the coordinator publishes the mission. On leaving it waits for what is still on its way,
+    then finishes the file, also when the run failed; messages that come later are ignored.
 
     Parameters
     ----------
@@ -52,6 +57,7 @@ class Recorder:
 
     def __init__(self, bus: Bus, mission: str, path: Path) -> None:
         self._bus, self._mission, self._path = bus, mission, path
+        self._news = 0
 
     async def __aenter__(self) -> Recorder:
         self._writer = RunWriter(self._path)
@@ -66,13 +72,23 @@ class Recorder:
     async def __aexit__(
         self, kind: type[BaseException] | None, fault: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._flushing.cancel()
         try:
+            await self._settle()
+            self._flushing.cancel()
             # What ended the flushing other than this cancellation (a full disk) is the caller's to know.
             with contextlib.suppress(asyncio.CancelledError):
                 await self._flushing
         finally:
+            self._flushing.cancel()
             self._writer.close()
+
+    async def _settle(self) -> None:
+        """Wait for messages said before now: each subscription delivers from a thread of its own."""
+        limit_s = asyncio.get_running_loop().time() + SETTLE_LIMIT_S
+        before = -1
+        while self._news != before and asyncio.get_running_loop().time() < limit_s:
+            before = self._news
+            await asyncio.sleep(SETTLE_S)
 
     async def _listen(self) -> None:
         keys: dict[str, type[Message]] = {
@@ -91,6 +107,7 @@ class Recorder:
     def _record(self, key: str, message: Message) -> None:
         if not self._writer.closed:
             self._writer.write(key, message)
+            self._news += not isinstance(message, Telemetry)
 
     async def _flush_now_and_then(self) -> None:
         """Flush by the wall's clock, whatever the mission's clock does: power fails in real time."""

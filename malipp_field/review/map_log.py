@@ -45,12 +45,9 @@ def _log_routes(timeline: Timeline, run: Run, robot: str, color: Color) -> None:
         rr.LineStrips2D.from_fields(colors=(*color, _PLANNED_ALPHA), radii=0.17 * size_m, draw_order=14.0),
     )
     for adopted, route in _routes(run, robot):
-        if len(route) > 1:
-            timeline.log(
-                adopted.time_s,
-                f"site/team/{robot}/route",
-                rr.LineStrips2D.from_fields(strips=[route + shift]),
-            )
+        strips = [route + shift] if len(route) > 1 else []
+        entity = f"site/team/{robot}/route"
+        timeline.log(adopted.time_s, entity, rr.LineStrips2D.from_fields(strips=strips))
 
 
 def _shift(run: Run, robot: str) -> FloatArray:
@@ -75,7 +72,9 @@ def _remaining_route(run: Run, adopted: PlanAdopted, order: VehicleMission) -> F
     first = 0
     if reports:
         here = to_local(reports[-1].lat_deg, reports[-1].lon_deg, origin)
-        first = order.index_of(reports[-1].step_uid or "") or 0
+        begun = next((report.step_uid for report in reversed(reports) if report.step_uid is not None), "")
+        # A vehicle that has finished is past the last step it reported.
+        first = (order.index_of(begun) or 0) + reports[-1].finished
     ahead = [step.place for step in order.steps[first:] if step.action is Action.DRIVE]
     return np.array([here, *(to_local(place.lat_deg, place.lon_deg, origin) for place in ahead)])
 

@@ -9,6 +9,7 @@ from typing import Any, cast
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from malipp_field.clock import Clock
+from malipp_field.errors import LinkError
 from malipp_field.mission import Mission
 from malipp_field.sim.autopilot import RoverConfig
 from malipp_field.sim.rover import COMPONENT_ID, Rover
@@ -90,9 +91,14 @@ class Fleet:
 
     async def _open(self, robot_id: str, rover: Rover, port: int) -> None:
         loop = asyncio.get_running_loop()
-        transport, radio = await loop.create_datagram_endpoint(
-            lambda: _Radio(rover, self._clock), local_addr=(self._host, port)
-        )
+        try:
+            transport, radio = await loop.create_datagram_endpoint(
+                lambda: _Radio(rover, self._clock), local_addr=(self._host, port)
+            )
+        except OSError as fault:
+            raise LinkError(
+                f"{robot_id}: UDP port {port} on {self._host} cannot be used: {fault.strerror}; choose another"
+            ) from None
         self._transports.append(transport)
         self.endpoints[robot_id] = transport.get_extra_info("sockname")[:2]
         self._tasks.append(asyncio.create_task(self._live(radio), name=f"rover {robot_id}"))

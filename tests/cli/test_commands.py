@@ -163,7 +163,7 @@ def test_a_mistake_in_the_mission_file(
     edit(mission, "start: base", "start: bse")
     assert status(*(part.format("tiny.yaml") for part in command)) == 2
     assert one_line(capsys) == (
-        "tiny.yaml:16: team.robots[0].start: unknown node 'bse'; did you mean 'base'?\n"
+        "tiny.yaml:17: team.robots[0].start: unknown node 'bse'; did you mean 'base'?\n"
     )
 
 

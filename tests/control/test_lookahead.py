@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import pytest
-from control_cases import compiled, confirm, drop_plan, relay_mission, relay_plan
+from control_cases import MISSION, compiled, confirm, drop_plan, relay_mission, relay_plan
 
 from malipp_field.bus import Telemetry
+from malipp_field.control.experience import Experience
 from malipp_field.control.ledger import CustodyLedger
 from malipp_field.control.lookahead import LookAhead, Outlook, Roads, Whereabouts
 from malipp_field.control.remainder import remainder
 from malipp_field.control.revision import revise, same_work
 from malipp_field.control.schedule import deviation, expectations
 from malipp_field.control.tracks import Track
-from malipp_field.mission import Mission, to_globe
+from malipp_field.mission import Mission, parse_mission, to_globe
 from malipp_field.plan import Plan
 from malipp_field.vehicle.steps import Action, VehicleMission
 
@@ -95,7 +96,7 @@ def test_a_committed_drop_is_a_cache_from_its_end_and_the_clearance_on() -> None
 
 def track_of(mission: Mission, robot: str, vehicle_mission: VehicleMission, uid: str | None) -> Track:
     track = Track(mission, robot, vehicle_mission)
-    track.update(telemetry(robot, uid, 0.0, 100.0, 0.0))
+    track.update(telemetry(robot, uid, 0.0, 100.0, 0.0), Roads(mission), 0)
     return track
 
 
@@ -184,18 +185,46 @@ def test_deviation_is_foreseen_on_the_way_from_pace_and_drain() -> None:
     expected = expectations(relay_plan(), missions, {"scout": 10000.0, "carrier": 50000.0}, mission)
     first, second = missions["scout"].steps[:2]
     track = Track(mission, "scout", missions["scout"])
-    track.update(telemetry("scout", first.uid, 10.0, 100.0, 0.0))
+    track.update(telemetry("scout", first.uid, 10.0, 100.0, 0.0), roads, 0)
     on_time = deviation("scout", 10.0, track.whereabouts(roads, 0), 0, expected, roads)
     assert on_time is not None
     assert on_time.late_s == pytest.approx(0.0, abs=0.1)
     assert on_time.overdraw_j == pytest.approx(0.0, abs=1.0)
     # Ten metres in 40 s for 300 J, not in 10 s for 100 J: a quarter of the pace, thrice the drain.
-    track.update(telemetry("scout", first.uid, 50.0, 110.0, 300.0))
+    track.update(telemetry("scout", first.uid, 50.0, 110.0, 300.0), roads, 0)
     late = deviation("scout", 50.0, track.whereabouts(roads, 0), 0, expected, roads)
     assert late is not None
     assert late.node == "far"
     assert late.late_s == pytest.approx(50.0 + 40 * 4 + 50 - 110.0, abs=2.0)
     assert late.overdraw_j == pytest.approx(300.0 + 40 * 10 * 3 + 500 - 1000.0, abs=15.0)
     # A new leg is judged by itself.
-    track.update(telemetry("scout", second.uid, 210.0, 150.0, 1500.0))
+    track.update(telemetry("scout", first.uid, 209.0, 149.9, 1497.0), roads, 0)
+    track.update(telemetry("scout", second.uid, 210.0, 150.0, 1500.0), roads, 0)
     assert track.whereabouts(roads, 0).time_ratio == 1.0
+    assert track.leg_done is not None
+    assert track.leg_done[:2] == ("hub", "gate")
+    assert track.leg_done[2:] == pytest.approx((4.0, 3.0), rel=0.02)
+
+
+def test_what_was_measured_on_an_edge_counts_in_the_next_plan_for_everybody() -> None:
+    mission = relay_mission()
+    experience = Experience()
+    assert experience.applied_to(mission) is mission
+    assert not experience.note("hub", "gate", 1.05, 1.0)
+    assert experience.note("gate", "hub", 4.0, 3.0)
+    found = experience.applied_to(mission)
+    for robot in ("scout", "carrier"):
+        before, after = Roads(mission), Roads(found)
+        time_s, energy_j = before.drive(robot, "hub", "gate", 1)
+        assert after.drive(robot, "hub", "gate", 1) == pytest.approx((4.0 * time_s, 3.0 * energy_j))
+        assert after.drive(robot, "base", "hub", 1) == before.drive(robot, "base", "hub", 1)
+
+
+def test_a_measured_straight_line_of_a_complete_site_becomes_an_edge() -> None:
+    text = MISSION.replace("  edges:", "  complete: true\n  edges:", 1)
+    mission = parse_mission(text)
+    experience = Experience()
+    experience.note("base", "far", 2.0, 1.5)
+    time_s, energy_j = Roads(mission).drive("scout", "far", "base", 0)
+    found = Roads(experience.applied_to(mission)).drive("scout", "far", "base", 0)
+    assert found == pytest.approx((2.0 * time_s, 1.5 * energy_j))

@@ -8,6 +8,7 @@ from collections.abc import Awaitable, Callable, Coroutine
 from typing import Any, TypeVar
 
 from link_cases import STEP_S, SYSTEM, Wire, framed, from_ground
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from malipp_field.bus.messages import (
     Command,
@@ -49,6 +50,12 @@ team:
        payload_capacity: 4, samples_per_node: 2, noise_variance: 0.01, energy_per_kg_m: 3.0, speed_m_s: 10.0}
 """
 )
+ROUND = ("drive a", "collect a 1", "collect a 2", "drive b", "collect b 3", "drive base", "unload base 1",
+         "unload base 2", "unload base 3")  # fmt: skip
+WORK_DONE = [uid for uid in ROUND if not uid.startswith("drive")]
+SET_CURRENT = mavlink.MAV_CMD_DO_SET_MISSION_CURRENT
+STOP = Hold(reason="test")
+
 MessageT = TypeVar("MessageT", bound=Message)
 ResultT = TypeVar("ResultT")
 
@@ -95,7 +102,7 @@ class Yard:
         self.agent = Agent("yard", "scout", ("rover", 14550), SYSTEM, self.bus, self.clock, self._open)
         self.up, self.down = Wire(seed, loss, loss > 0.0), Wire(seed + 1_000_000, loss, loss > 0.0)
         self.noise = random.Random(seed)
-        self.cut = False
+        self.cut = self.deaf = False
         self.heard: list[Any] = []
         self.watch: Callable[[Any], None] = lambda message: None
 
@@ -128,7 +135,7 @@ class Yard:
         self.rover.step(now_s)
         outbox, self.rover.outbox = self.rover.outbox, []
         for _, message in outbox:
-            if not self.cut:
+            if not (self.cut or self.deaf):
                 self.down.put(framed(message), now_s)
         for message in self.down.arrived(now_s):
             self._on_message(message)
@@ -196,3 +203,12 @@ class Yard:
                 )
             )  # fmt: skip
         return VehicleMission(robot="scout", version=version, home=self.point("base"), steps=tuple(steps))
+
+
+def mode_of(yard: Yard) -> int:
+    return yard.rover.autopilot.mode
+
+
+async def fly(yard: Yard, *work: str) -> None:
+    assert (await yard.order(Load(mission=yard.mission(*work)))).ok
+    assert (await yard.order(Start())).ok

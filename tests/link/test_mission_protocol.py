@@ -93,6 +93,17 @@ def test_a_refused_item_is_named(seq: int) -> None:
     assert "MAV_MISSION_INVALID_PARAM1: param1 has an invalid value" in upload.failure
 
 
+def test_a_late_request_does_not_confuse_which_item_was_refused() -> None:
+    upload = MissionUpload(mission_items(6), SYSTEM)
+    upload.start(0.0)
+    for seq in (0, 1, 2, 0):
+        answer = upload.receive(framed(mavlink.MAVLink_mission_request_message(*ids(), seq)), 0.1)
+        assert [message.seq for message in answer] == [seq]
+    assert [message.seq for message in upload.tick(0.4)] == [2]
+    upload.receive(framed(ack(mavlink.MAV_MISSION_INVALID_PARAM5_X)), 0.5)
+    assert "item 2 (NAV_" in (upload.failure or "")
+
+
 def test_ardupilot_refuses_nan_and_keeps_a_mixed_mission() -> None:
     vehicle = old_mission(ardupilot)
     items = mission_items(5)
