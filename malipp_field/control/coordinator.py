@@ -7,6 +7,7 @@ vehicle concerned has read its part back before any of them moves on.
 from __future__ import annotations
 
 import asyncio
+import logging
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, Protocol
@@ -46,6 +47,7 @@ _PAUSE_S = 60.0  # between replans, so that noise does not cause churn
 _RELEASE_AGAIN_S = 5.0  # a gate that is still shut so long after it was to open is tried again
 _PRESENCE_TIMEOUT_S = 60.0
 
+log = logging.getLogger(__name__)
 Severity = Literal["info", "warning", "error"]
 
 
@@ -107,7 +109,7 @@ class Coordinator:
         self.ledger = CustodyLedger()
         compiled = compile_plan(mission, plan)
         self.tracks = {
-            robot: Track(mission, robot, vehicle_mission)
+            robot: Track(mission, plan.robot(robot), vehicle_mission)
             for robot, vehicle_mission in compiled.missions.items()
         }
         self._samples = compiled.samples
@@ -171,7 +173,7 @@ class Coordinator:
         if self._experience.note(tail, head, time_ratio, energy_ratio):
             self._say(
                 "warning",
-                f"{tail} to {head} took {time_ratio:.1f} times the time and {energy_ratio:.1f} times the energy",
+                f"{tail} to {head} took {time_ratio:.1f} x the time, {energy_ratio:.1f} x the energy foreseen",
                 robot,
             )
 
@@ -296,7 +298,13 @@ class Coordinator:
             for robot, track in self.tracks.items():
                 self._learn_from_leg_in_progress(robot, track)
             outlook = self._outlook()
-            plan = await self._plan_rest(outlook)
+            try:
+                plan = await self._plan_rest(outlook)
+            except Exception as fault:  # whatever the planner does, the team needs its coordinator
+                log.exception("the planner failed")
+                self._say("error", f"the planner failed, going on as planned: {fault}")
+                self._quiet_until_s = self._clock.now_s() + _PAUSE_S
+                return
             if not plan.robots:
                 self._say("warning", f"no new plan, going on as planned: {plan.reason or plan.status}")
             else:
@@ -373,7 +381,8 @@ class Coordinator:
         )
         for robot, track in self.tracks.items():
             if robot in revision.missions:
-                track.adopt(revision.missions[robot])
+                committed = len(revision.outlook.committed[robot])
+                track.adopt(revision.plan.robot(robot), revision.missions[robot], committed)
                 continue
             # The vehicle keeps its mission: the new plan's words are about its old steps.
             free = track.mission.steps[len(track.mission.steps) - len(revision.compiled[robot].steps) :]

@@ -11,13 +11,14 @@ from malipp_field.vehicle.steps import Action
 
 
 def remainder(plan: Plan, tracks: Mapping[str, Track], outlook: Outlook) -> Plan:
-    """Return the stops of ``plan`` that are not committed, from the nodes where the free parts begin.
+    """Return the stops in force that are not committed, from the nodes where the free parts begin.
 
-    Orders and operations are the plan's; times and energies are those of the old plan and no longer right, so
-    this is advice to a solver, not a plan to be carried out.
+    A vehicle that the last plan left alone still follows the route of an earlier one. Stops and operations
+    are as planned; times and energies are those of old and no longer right, so this is advice to a solver,
+    not a plan to be carried out.
     """
     return plan.model_copy(
-        update={"robots": tuple(_rest(plan.robot(robot), track, outlook) for robot, track in tracks.items())}
+        update={"robots": tuple(_rest(track.route, track, outlook) for track in tracks.values())}
     )
 
 
@@ -29,12 +30,18 @@ def _rest(route: RobotPlan, track: Track, outlook: Outlook) -> RobotPlan:
         return RobotPlan(id=route.id, route=(here,))
     index = track.mission.index_of(diverges_at)
     assert index is not None, "the outlook was taken of the mission in force"
+    if index < track.committed:  # not yet where the route in force begins
+        return RobotPlan(id=route.id, route=(here, *route.route[1:]))
     first = track.mission.steps[index]
     later = route.route[first.stop :]
     if first.action is Action.DRIVE:
         return RobotPlan(id=route.id, route=(here, *later))
     # The free part begins within a stop: what is left to do there is done at the new start.
-    done = [s for s in track.mission.steps[:index] if s.stop == first.stop and s.action is not Action.DRIVE]
+    done = [
+        step
+        for step in track.mission.steps[track.committed : index]
+        if step.stop == first.stop and step.action is not Action.DRIVE
+    ]
     stop = later[0]
     here = stop.model_copy(
         update={

@@ -7,6 +7,7 @@ import math
 from malipp_field.bus import Telemetry
 from malipp_field.control.lookahead import Roads, Whereabouts
 from malipp_field.mission import ABSTRACT_ORIGIN, Mission, to_local
+from malipp_field.plan import RobotPlan
 from malipp_field.vehicle.steps import Action, Step, VehicleMission
 
 # Ratios of measured to predicted are trusted from this distance on, and within these limits: terrain slows
@@ -18,9 +19,13 @@ _RATIO_LIMITS = (1.0, 5.0)
 class Track:
     """One vehicle as the coordinator sees it."""
 
-    def __init__(self, mission: Mission, robot_id: str, vehicle_mission: VehicleMission) -> None:
-        self.robot_id = robot_id
+    def __init__(self, mission: Mission, route: RobotPlan, vehicle_mission: VehicleMission) -> None:
+        self.robot_id = route.id
         self.mission = vehicle_mission
+        self.route = route
+        """The route of the plan that the mission was compiled from."""
+        self.committed = 0
+        """How many steps of the mission come before those of that route."""
         self.telemetry: Telemetry | None = None
         self.leg_done: tuple[str, str, float, float] | None = None
         """The edge driven last (tail, head), with measured over predicted time and energy."""
@@ -30,7 +35,7 @@ class Track:
         """Clock time at which the vehicle last began a step or got a little further."""
         self._mark = (math.inf, math.inf)
         self._origin = mission.site.origin or ABSTRACT_ORIGIN
-        self._last_node = mission.robot(robot_id).start
+        self._last_node = mission.robot(route.id).start
         self._leg_start: tuple[float, float, float, float] | None = None  # time, energy, x, y
 
     @property
@@ -84,10 +89,10 @@ class Track:
         if telemetry.step_uid != before or math.dist(self._mark, self.position) > _TRUSTED_M:
             self._mark, self.progress_s = self.position, telemetry.time_s
 
-    def adopt(self, vehicle_mission: VehicleMission) -> None:
+    def adopt(self, route: RobotPlan, vehicle_mission: VehicleMission, committed: int) -> None:
         """Follow another mission from now on."""
         self._last_node = self.last_node
-        self.mission = vehicle_mission
+        self.mission, self.route, self.committed = vehicle_mission, route, committed
 
     def whereabouts(self, roads: Roads, load: int) -> Whereabouts:
         """Return where the vehicle is and how its present leg compares with the prediction."""

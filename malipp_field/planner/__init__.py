@@ -1,4 +1,4 @@
-"""Planning: exact plans, Seq-LIPP, the no-handoff ablation, bounds, and the verifier all plans pass through."""
+"""Planning: exact plans, Seq-LIPP, the no-handoff ablation, bounds, and the verifier of all plans."""
 
 from malipp_field.planner.exact import Progress
 from malipp_field.planner.relaxation import relaxation_bound

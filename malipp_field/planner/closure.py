@@ -48,8 +48,8 @@ class Closure:
 
 
 def closure(passages: Iterable[Passage], nodes: Sequence[str], terminals: Sequence[int]) -> Closure:
-    """Return the closure over ``nodes``; only legs between members of ``terminals`` (indices) are filled in."""
-    graph = nx.DiGraph()
+    """Return the closure over ``nodes``, filled in between the members of ``terminals`` (indices)."""
+    graph: nx.DiGraph[str] = nx.DiGraph()
     graph.add_nodes_from(nodes)
     for passage in passages:
         graph.add_edge(passage.tail, passage.head, energy=passage.energy_per_kg, time=passage.time_s)
@@ -71,9 +71,12 @@ def closure(passages: Iterable[Passage], nodes: Sequence[str], terminals: Sequen
 def _cheapest_paths(graph: nx.DiGraph[str], source: str) -> dict[str, Path]:
     """Return the minimum-energy path to every node that can be reached, the fastest among equals."""
     cost: dict[str, float] = nx.single_source_dijkstra_path_length(graph, source, weight="energy")
-    tight = nx.DiGraph()
+    tight: nx.DiGraph[str] = nx.DiGraph()
     tight.add_node(source)
     for tail, head, data in graph.edges(data=True):
         if tail in cost and cost[tail] + data["energy"] <= cost[head] * (1.0 + _TIE):
             tight.add_edge(tail, head, time=data["time"])
-    return {node: tuple(path) for node, path in nx.single_source_dijkstra_path(tight, source, weight="time").items()}
+    return {
+        node: tuple(path)
+        for node, path in nx.single_source_dijkstra_path(tight, source, weight="time").items()
+    }

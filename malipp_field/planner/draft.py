@@ -76,7 +76,7 @@ class Draft:
             holder = receiver
 
     def energy_j(self, r: int) -> float:
-        """Return the energy of a route with its loads; infinity where custody, capacity or budget forbid it."""
+        """Return the energy of a route with its loads; infinity where custody, capacity or budget forbid."""
         robot, route = self.problem.robots[r], self.routes[r]
         collect, give, take = self.collect[r], self.give[r], self.take[r]
         cost, mass, sample_mass = robot.closure.rows, robot.empty_mass_kg, self.problem.sample_mass_kg
@@ -84,6 +84,8 @@ class Draft:
         load, energy, before = robot.on_board, 0.0, route[0]
         for i, node in enumerate(route):
             if i:
+                if i == last > 1 and node == before:
+                    return float("inf")  # no leg leads from a depot to its own terminal copy
                 energy += cost[before][node] * (mass + sample_mass * load)
                 before = node
                 if i == last:
@@ -93,6 +95,8 @@ class Draft:
             if given > min(load, capacity):
                 return float("inf")
             if node in robot.depots:
+                if load - given > capacity:
+                    return float("inf")
                 load = given  # everything that is not handed over is unloaded
             if load > capacity:
                 return float("inf")
@@ -111,7 +115,14 @@ class Draft:
                     kept.append(node)
                 load += self.collect[r][node] - self.give[r][node]
                 load = self.take[r][node] + (0 if node in robot.depots else load)
+            # No leg leads from a depot to its own terminal copy: what it was for is done at the end.
+            while len(kept) > 1 and kept[-1] in robot.depots and not self._transfers(r, kept[-1]):
+                kept.pop()
             self.routes[r] = [*kept, self.terminal(r, kept)]
+
+    def _transfers(self, r: int, node: int) -> bool:
+        """Tell whether a robot drops or picks at a node."""
+        return bool(self.give[r][node] or self.take[r][node])
 
     def terminal(self, r: int, inner: list[int]) -> int:
         """Return the cheapest depot to end at after the stops ``inner``."""
@@ -185,7 +196,7 @@ def draft_of(problem: Problem, team: TeamPlan) -> Draft:
     routes = [[visit.node for visit in route] for route in team.routes]
     routes = [route if len(route) > 1 else [route[0], route[0]] for route in routes]
     held = [[Sample(ON_BOARD, robot.start, r)] * robot.on_board for r, robot in enumerate(problem.robots)]
-    lying: dict[tuple[int, int, int], list[Sample]] = defaultdict(list)
+    lying: dict[tuple[int, int, int], list[Sample]] = {}
     home: list[Sample] = []
     for r, k in nx.topological_sort(precedence(problem, team.routes)):
         visit, hand = team.routes[r][k], held[r]
@@ -193,12 +204,10 @@ def draft_of(problem: Problem, team: TeamPlan) -> Draft:
         for receiver, count in visit.drop.items():
             for _ in range(count):
                 sample = hand.pop()
-                hops = (*sample.hops, (visit.node, receiver))
-                lying[visit.node, r, receiver].append(
-                    Sample(sample.kind, sample.node, sample.robot, hops, sample.stock)
-                )
-        for _ in range(visit.unload):
-            home.append(hand.pop(0))
+                dropped = sample._replace(hops=(*sample.hops, (visit.node, receiver)))
+                lying.setdefault((visit.node, r, receiver), []).append(dropped)
+        home += hand[: visit.unload]
+        del hand[: visit.unload]
         for sender in visit.pick:
             hand += lying.pop((visit.node, sender, r))
         for s, count in visit.fetch.items():

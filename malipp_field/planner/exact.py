@@ -23,9 +23,11 @@ from malipp_field.planner.problem import Problem, prune
 from malipp_field.planner.timing import add_timing, horizon_s
 
 _TANGENT_ROUNDS = 30
-_IMPROVEMENTS = 7.0
-"""Iterations of ruin and recreate for every ask of HiGHS, in a model of a thousand columns. They grow with the
-square of its size: small models are proven sooner than improved, large ones are not proven at all."""
+_IMPROVEMENTS = 17.0
+"""Iterations of ruin and recreate for every ask of HiGHS, in a model of a thousand columns.
+
+They grow with the cube of its size: small models are soon proven, large ones are not proven at all.
+"""
 _LEAST_IMPROVEMENTS = 20
 _LAST_STAGES = 0.15
 """Share of the time limit that is kept for energy and makespan."""
@@ -60,7 +62,12 @@ class Search:
         incumbent = None if best is None else best.information
         self.on_progress(
             Progress(
-                time.monotonic() - self.started, stage, incumbent, bound, relative_gap(incumbent, bound), rounds
+                time.monotonic() - self.started,
+                stage,
+                incumbent,
+                bound,
+                relative_gap(incumbent, bound),
+                rounds,
             )
         )
 
@@ -152,10 +159,8 @@ class InformationStage:
         if self.best is None:
             return None
         before = self.best
-        iterations = int(_IMPROVEMENTS * asks / 2 * (len(self.model.linear.cost) / 1000) ** 2)
-        self.best = self._improver.improve(
-            before, max(iterations, _LEAST_IMPROVEMENTS), self.search.effort
-        )
+        iterations = int(_IMPROVEMENTS * asks / 2 * (len(self.model.linear.cost) / 1000) ** 3)
+        self.best = self._improver.improve(before, max(iterations, _LEAST_IMPROVEMENTS), self.search.effort)
         self._tell("ruin and recreate")
         return None if self.best is before else start_point(self.model, self.best)
 
@@ -224,7 +229,8 @@ def _least_makespan(problem: Problem, search: Search, best: TeamPlan) -> tuple[T
     slack = _ENERGY_SLACK * max(1.0, best.energy_j)
     scale = max(1.0, best.energy_j)
     model.linear.row(
-        [(column, value / scale) for column, value in model.energy_terms()], upper=(best.energy_j + slack) / scale
+        [(column, value / scale) for column, value in model.energy_terms()],
+        upper=(best.energy_j + slack) / scale,
     )
     model.linear.objective([(model.columns.end, 1.0)])
     found, outcome = _run_stage(model, search, best)
@@ -235,7 +241,9 @@ def _least_makespan(problem: Problem, search: Search, best: TeamPlan) -> tuple[T
 def _fixed_model(problem: Problem, search: Search, best: TeamPlan) -> TeamModel:
     """Return the model with the precision of ``best``; nobody samples where it gains nothing."""
     wasted = {
-        v for v, p, gained in zip(problem.candidates, best.precision, problem.gained, strict=True) if p <= gained
+        v
+        for v, p, gained in zip(problem.candidates, best.precision, problem.gained, strict=True)
+        if p <= gained
     }
     robots = []
     for robot in problem.robots:

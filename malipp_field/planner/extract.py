@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import networkx as nx
 import numpy as np
@@ -149,9 +150,7 @@ def leg_energies(problem: Problem, robot: RobotView, route: Route) -> list[float
     ]
 
 
-def earliest_departures(
-    problem: Problem, routes: tuple[Route, ...]
-) -> tuple[tuple[float, ...], ...] | None:
+def earliest_departures(problem: Problem, routes: tuple[Route, ...]) -> tuple[tuple[float, ...], ...] | None:
     """Return t_v^r of the schedule in which nobody waits without need; None where drops wait in a circle."""
     graph = precedence(problem, routes)
     if not nx.is_directed_acyclic_graph(graph):
@@ -228,8 +227,7 @@ def _set_route(
         point[columns.y[r][slot]] = 1.0
         point[columns.t[r][slot]] = time_s
     spent = np.cumsum(leg_energies(problem, robot, visits)) / max(robot.budget_j, 1e-9)
-    arcs = zip(slots, slots[1:], strict=False)
-    for arc, share, load in zip(arcs, spent, payloads(robot, visits), strict=False):
+    for arc, share, load in zip(pairwise(slots), spent, payloads(robot, visits), strict=False):
         point[columns.x[r][arc]] = 1.0
         point[columns.load[r][arc]] = load
         point[columns.spent[r][arc]] = min(float(share), 1.0)
@@ -251,7 +249,7 @@ def _set_operations(model: TeamModel, point: FloatArray, r: int, slot: int, visi
 
 
 def routes_of(problem: Problem, plan: Plan) -> tuple[Route, ...]:
-    """Return the routes of a verified plan for the same mission and state."""
+    """Return the routes of a plan; raises `KeyError` for names that the mission does not have."""
     index = {node: i for i, node in enumerate(problem.nodes)}
     team = {robot.id: r for r, robot in enumerate(problem.robots)}
     return tuple(
@@ -308,9 +306,7 @@ def plan_file(name: str, problem: Problem, team: TeamPlan, verdict: Verdict) -> 
         version=verdict.version,
         method=verdict.method,
         status=verdict.status,
-        objective=Objective(
-            information=team.information, energy_j=team.energy_j, makespan_s=team.makespan_s
-        ),
+        objective=Objective(information=team.information, energy_j=team.energy_j, makespan_s=team.makespan_s),
         bound=Bound(information=verdict.bound),
         gap=verdict.gap,
         solve_time_s=verdict.solve_time_s,
@@ -338,7 +334,13 @@ def _stops(problem: Problem, robot: RobotView, route: Route, depart_s: tuple[flo
             }
         stops.append(
             Stop.model_validate(
-                {"node": problem.nodes[visit.node], "depart_s": depart_s[k], "payload": loads[k], **done, **leg}
+                {
+                    "node": problem.nodes[visit.node],
+                    "depart_s": depart_s[k],
+                    "payload": loads[k],
+                    **done,
+                    **leg,
+                }
             )
         )
     return tuple(stops)

@@ -16,7 +16,7 @@ def obstacle(problem: Problem, depots: dict[str, tuple[int, ...]]) -> str | None
         D_r of every robot by its id, reachable or not.
     """
     for robot in problem.robots:
-        found = _cannot_end(problem, robot, depots[robot.id]) or _cannot_carry(problem, robot)
+        found = _cannot_end(problem, robot, depots[robot.id]) or _cannot_carry(robot)
         if found:
             return f"{robot.id}: {found}"
     for stock in problem.stocks:
@@ -44,7 +44,7 @@ def _cannot_end(problem: Problem, robot: RobotView, depots: tuple[int, ...]) -> 
     )
 
 
-def _cannot_carry(problem: Problem, robot: RobotView) -> str | None:
+def _cannot_carry(robot: RobotView) -> str | None:
     if robot.on_board > robot.capacity and robot.start not in robot.depots:
         return f"it has {robot.on_board} samples on board and room for {robot.capacity}"
     return None
@@ -68,11 +68,20 @@ def _cannot_fetch(problem: Problem, stock: Stock) -> str | None:
             room += robot.capacity
         short = needed - robot.budget_j
         if nearest is None or short < nearest[0]:
-            nearest = (short, f"{robot.id} needs {needed:.1f} J to fetch one, its budget is {robot.budget_j:.1f} J")
+            nearest = (
+                short,
+                f"{robot.id} needs {needed:.1f} J to fetch one, its budget is {robot.budget_j:.1f} J",
+            )
     if not reachable:
         return "no robot can drive there and on to one of its depots"
     if room == 0 and nearest is not None:
-        return f"no robot can fetch them: {nearest[1]}" if nearest[0] > 0 else "no robot that can has any capacity"
+        return (
+            f"no robot can fetch them: {nearest[1]}"
+            if nearest[0] > 0
+            else "no robot that can has any capacity"
+        )
     if room < stock.count:
-        return f"{stock.count} lie there, robots that can fetch them carry {room} at most, and stop there once"
+        return (
+            f"{stock.count} lie there, robots that can fetch them carry {room} at most, and stop there once"
+        )
     return None

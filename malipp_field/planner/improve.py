@@ -21,8 +21,9 @@ from malipp_field.planner.problem import Problem
 
 _CONSTRUCTIONS = 20
 """Attempts to build a plan where there is none to begin with."""
-_TRIES = 40
+_TRIES = 20
 """Ways home tried for each insertion."""
+_MOST_TAKEN_OUT = 8
 _OWN_WAY = 0.35
 """Chance that a way without a drop is tried."""
 _START_TEMPERATURE, _END_TEMPERATURE = 1e-2, 1e-4
@@ -65,7 +66,7 @@ class Improver:
         return found if found is not None and found.rank < team.rank else team
 
     def construct(self) -> TeamPlan | None:
-        """Return a plan in which every robot goes to a depot and what must come home does; None if none is found.
+        """Return a plan in which all robots and what must come home do come home; None if none is found.
 
         The paper's fallback of direct-depot routes, with samples on board and in drops put in one by one.
         """
@@ -88,7 +89,7 @@ class Improver:
         return None
 
     def _place(self, draft: Draft, sample: Sample) -> bool:
-        """Put in a sample that must come home; one on board may simply stay there if its robot can carry it."""
+        """Put in a sample that must come home; one on board may stay there if its robot can carry it."""
         if sample.kind == ON_BOARD and not math.isinf(draft.energy_j(sample.robot)):
             draft.add(sample)
             return True
@@ -152,7 +153,7 @@ class Improver:
         if not draft.samples:
             return []
         how = self._random.random()
-        count = self._random.randint(1, max(1, min(6, len(draft.samples))))
+        count = self._random.randint(1, max(1, min(_MOST_TAKEN_OUT, len(draft.samples))))
         if how < 0.4:
             gone = self._random.sample(draft.samples, count)
         elif how < 0.7:
@@ -166,9 +167,7 @@ class Improver:
             gone = sorted(draft.samples, key=lambda s: cost[centre][s.node])[:count]
         for sample in gone:
             draft.remove(sample)
-        return [
-            Sample(s.kind, s.node, s.robot, (), s.stock) for s in gone if s.kind != COLLECTED
-        ]
+        return [Sample(s.kind, s.node, s.robot, (), s.stock) for s in gone if s.kind != COLLECTED]
 
     def _visit_depot(self, draft: Draft) -> None:
         """Send a random robot through one of its depots on the way."""
@@ -184,21 +183,19 @@ class Improver:
     def _recreate(self, draft: Draft) -> None:
         """Put in samples as long as one can be found that fits."""
         greed = self._random.uniform(0.0, 1.2)
-        failures = 0
-        while failures < 2:
+        found = True
+        while found:
             gains = self._gains(draft)
             if not gains:
                 return
             pairs = sorted(gains, key=lambda pair: -gains[pair] * self._random.uniform(0.5, 1.0))
             wanted = [(Sample(COLLECTED, v, r), gains[r, v]) for r, v in pairs]
-            failures = 0 if self._insert(draft, wanted, greed) else failures + 1
+            found = self._insert(draft, wanted, greed)
 
-    def _insert(
-        self, draft: Draft, wanted: list[tuple[Sample, float]], greed: float = 1.0
-    ) -> bool:
+    def _insert(self, draft: Draft, wanted: list[tuple[Sample, float]], greed: float = 1.0) -> bool:
         """Insert one of the samples wanted by the best way of those tried; tell whether one was found."""
         before = [draft.energy_j(r) for r in range(len(draft.routes))]
-        options = []
+        options: list[tuple[float, int, Sample, dict[int, list[int]]]] = []
         for _ in range(_TRIES):
             bare, gain = wanted[int(len(wanted) * self._random.random() ** 2)]
             option = self._option(draft, bare, before)

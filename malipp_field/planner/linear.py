@@ -61,8 +61,8 @@ class Listener:
     on_point: Callable[[FloatArray], None]
     """Called with every improving integer point as it is found."""
     on_pause: Callable[[int], FloatArray | None]
-    """Called after 20, 40, 80 ... asks of HiGHS whether it should stop, with that number; a point it returns is
-    given to the solver as a solution. Unlike seconds, the asks come at the same points of every search."""
+    """Called after 20, 40, 80 ... asks of HiGHS whether it should stop, with that number; a point it returns
+    is given to the solver as a solution. Unlike seconds, asks come at the same points of every search."""
 
 
 @dataclass
@@ -103,7 +103,11 @@ class LinearModel:
         self._row_upper.append(upper)
         if self._solver is not None:
             self._solver.addRow(
-                lower, upper, len(merged), np.array(list(merged), dtype=np.int32), np.array(list(merged.values()))
+                lower,
+                upper,
+                len(merged),
+                np.array(list(merged), dtype=np.int32),
+                np.array(list(merged.values())),
             )
 
     def objective(self, terms: Terms) -> None:
@@ -167,7 +171,9 @@ class LinearModel:
             for whole in self.integer
         ]
         columns = np.arange(len(kinds), dtype=np.int32)
-        self._live().changeColsIntegrality(len(kinds), columns, np.array([int(k) for k in kinds], dtype=np.uint8))
+        self._live().changeColsIntegrality(
+            len(kinds), columns, np.array([int(k) for k in kinds], dtype=np.uint8)
+        )
 
 
 def _new_solver(seed: int, threads: int | None) -> Any:

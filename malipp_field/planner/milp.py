@@ -19,7 +19,7 @@ import numpy as np
 from malipp_field.field import FloatArray
 from malipp_field.planner.cuts import Group, split_information
 from malipp_field.planner.linear import INFINITY, LinearModel
-from malipp_field.planner.problem import Arc, Problem
+from malipp_field.planner.problem import Arc, Problem, RobotView
 
 _MAX_LEVELS = 64
 """Candidates with more precision levels than this enter J without selectors (and without D)."""
@@ -125,18 +125,15 @@ class TeamModel:
     def _add_transfer_columns(self) -> None:
         problem, columns, column = self.problem, self.columns, self.linear.column
         columns.gives = [{} for _ in problem.robots]
-        if problem.handoffs:
-            for r, o in itertools.permutations(range(len(problem.robots)), 2):
-                sender, receiver = problem.robots[r], problem.robots[o]
-                most = min(max(sender.capacity, sender.on_board), receiver.capacity)
-                for v in sorted(set(sender.places) & set(receiver.places)) if most else ():
-                    if v == sender.start and not sender.on_board and not sender.limits[v]:
-                        continue
-                    columns.h[r, o, v] = column(0, most, integer=True)
-                    columns.delta[r, o, v] = column(0, 1, integer=True)
-                    for robot in (r, o):
-                        if v not in columns.gives[robot]:
-                            columns.gives[robot][v] = column(0, 1, integer=True)
+        pairs = itertools.permutations(range(len(problem.robots)), 2) if problem.handoffs else ()
+        for r, o in pairs:
+            for v in _shared(problem.robots[r], problem.robots[o]):
+                most = min(problem.robots[r].capacity, problem.robots[o].capacity)
+                columns.h[r, o, v] = column(0, most, integer=True)
+                columns.delta[r, o, v] = column(0, 1, integer=True)
+                for i in (r, o):
+                    if v not in columns.gives[i]:
+                        columns.gives[i][v] = column(0, 1, integer=True)
         for s, stock in enumerate(problem.stocks):
             for r, robot in enumerate(problem.robots):
                 if stock.node in robot.places and robot.capacity:
@@ -269,7 +266,9 @@ class TeamModel:
     def _samplers(self, v: int) -> list[tuple[int, float]]:
         """Return (a column, 1 / sigma^2) of every robot that may sample node v."""
         robots = self.problem.robots
-        return [(self.columns.a[r][v], robots[r].precision) for r in range(len(robots)) if v in self.columns.a[r]]
+        return [
+            (self.columns.a[r][v], robots[r].precision) for r in range(len(robots)) if v in self.columns.a[r]
+        ]
 
     def _pairs(self) -> list[tuple[SlotColumns, SlotColumns]]:
         return list(zip(self.columns.y, self.columns.a, strict=True))
@@ -323,7 +322,7 @@ class TeamModel:
         return terms
 
     def add_cuts(self, point: FloatArray, tolerance: float = 1e-7) -> int:
-        """Add theta >= J(q_k) + grad J(q_k) (q - q_k) at a point of the model where theta is below; return how many.
+        """Add theta >= J(q_k) + grad J(q_k) (q - q_k) where theta is below J; return how many cuts.
 
         Parameters
         ----------
@@ -365,6 +364,16 @@ class TeamModel:
                 terms.append((column, alpha * robot.empty_mass_kg))
                 terms.append((self.columns.load[r][u, head], alpha * self.problem.sample_mass_kg))
         return terms
+
+
+def _shared(sender: RobotView, receiver: RobotView) -> list[int]:
+    """Return where the sender can leave something for the receiver."""
+    if not sender.capacity or not receiver.capacity:
+        return []
+    shared = set(sender.places) & set(receiver.places)
+    if not sender.on_board and not sender.limits[sender.start]:
+        shared.discard(sender.start)
+    return sorted(shared)
 
 
 def _minus(terms: Terms) -> Terms:

@@ -1,4 +1,4 @@
-"""What the solvers read: a mission and the state of its team as arrays, with all that cannot happen left out."""
+"""What the solvers read: a mission and the state of its team as arrays, without what cannot happen."""
 
 from __future__ import annotations
 

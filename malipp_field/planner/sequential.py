@@ -64,7 +64,12 @@ def share_stock(problem: Problem, search: Search) -> list[tuple[int, ...]] | Non
     return [tuple(counts[s] for s in range(len(problem.stocks))) for counts in fetched]
 
 
-def _alone(problem: Problem, r: int, fetches: tuple[int, ...], precision: np.ndarray[tuple[int], np.dtype[np.float64]]) -> Problem:
+def _alone(
+    problem: Problem,
+    r: int,
+    fetches: tuple[int, ...],
+    precision: np.ndarray[tuple[int], np.dtype[np.float64]],
+) -> Problem:
     """Return the problem of robot ``r`` on its own, with its share of the stock."""
     stocks = tuple(replace(stock, count=count) for stock, count in zip(problem.stocks, fetches, strict=True))
     return prune(

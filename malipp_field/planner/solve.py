@@ -60,7 +60,8 @@ def solve(
         "exact" proves its plan; "no-handoffs" is the same without drops; "seq" is Seq-LIPP; "auto" is "exact"
         begun with Seq-LIPP.
     warm_start
-        A plan to begin with: the result is never worse if it keeps the rules for this state.
+        Routes and operations to begin with (times and energies are worked out anew): the result is never
+        worse, if they keep the rules from this state on; else they are ignored.
     version
         Number of the plan among those of the mission.
     on_progress, cancelled
@@ -119,7 +120,9 @@ def _solve(request: Request) -> Plan:
 def _sequential(request: Request, problem: Problem) -> Plan:
     team = solve_sequential(problem, request.search)
     if team is None:
-        return _no_routes(request, "no_plan", "robots planned one by one found no plan that brings all samples home")
+        return _no_routes(
+            request, "no_plan", "robots planned one by one found no plan that brings all samples home"
+        )
     return plan_file(request.mission.name, problem, team, _verdict(request, "feasible", None, None))
 
 
@@ -143,11 +146,18 @@ def _exact(request: Request, problem: Problem, start: TeamPlan | None) -> Plan:
 
 
 def _warm(request: Request, problem: Problem) -> TeamPlan | None:
-    """Return the warm start if it is a plan for this mission and state."""
-    plan = request.warm_start
-    if plan is None or plan.objective is None or verify(request.mission, plan, request.state):
+    """Return the routes of the warm start, scheduled and costed anew, if they keep every rule."""
+    advice = request.warm_start
+    if advice is None:
         return None
-    return team_plan(problem, routes_of(problem, plan))
+    try:
+        team = team_plan(problem, routes_of(problem, advice))
+    except KeyError:  # a robot or node that this mission does not have
+        return None
+    if team is None:
+        return None
+    plan = plan_file(request.mission.name, problem, team, _verdict(request, "feasible", None, None))
+    return None if verify(request.mission, plan, request.state) else team
 
 
 def _verdict(request: Request, status: Status, bound: float | None, gap: float | None) -> Verdict:

@@ -1,4 +1,4 @@
-"""Rows of the asynchronous dead-drop timing, with big-M constants from a horizon that no useful plan exceeds."""
+"""Rows of the asynchronous dead-drop timing, with big-M constants from a horizon."""
 
 from __future__ import annotations
 

@@ -34,12 +34,13 @@ def blueprint(run: Run, images: list[Estimate]) -> rrb.Blueprint:
 
 def _maps(run: Run, bounds: rrb.VisualBounds2D) -> rrb.Container | rrb.View:
     site = rrb.Spatial2DView(
-        origin="/", contents=_MAP, name="Site: planned (thin) and driven (bold), north up",
+        origin="/", contents=_MAP,
+        name="Site: planned (thin), driven (bold), drops (ring: left by, disc: fetched by)",
         background=BACKGROUND, visual_bounds=bounds,
     )  # fmt: skip
     if run.mission.site.origin is None:
         return site
-    online = rrb.MapView(origin="/map", name="Online map (needs the internet)")
+    online = rrb.MapView(origin="/map", name="Online map")
     return rrb.Tabs(site, online, active_tab=0)
 
 
@@ -71,7 +72,7 @@ def _series(run: Run) -> list[rrb.Container | rrb.View]:
         for what, name, legend in (
             ("energy", "Energy, % of budget: used (bold), planned", rrb.PlotLegend(visible=False)),
             ("payload", "Samples on board", rrb.PlotLegend("RightTop")),
-            ("information", "J: achieved and planned (less is better)", rrb.PlotLegend("RightTop")),
+            ("information", "J", rrb.PlotLegend("RightTop")),
         )
     )
     return [energy, rrb.Tabs(payload, information, active_tab=0)]

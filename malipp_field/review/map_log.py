@@ -171,27 +171,37 @@ def _log_depots(timeline: Timeline, run: Run, time_s: float, custody: Custody) -
 
 
 def _log_drops(timeline: Timeline, run: Run, time_s: float, custody: Custody) -> None:
+    """Log every drop there was as a ring in the colour of who left it, and what lies there in words.
+
+    The disc within the ring is in the colour of who fetched it. How much that was is said when it is pointed
+    at, lest old drops cover the map with words.
+    """
     places, colors = node_positions(run.mission), robot_colors(run.mission)
-    size_m, words = frame(run.mission).marker_m, _drops_in_words(custody)
-    where = [places[node] for node, _, _ in words]
-    tints = [colors.get(sender, INK) for _, sender, _ in words]
-    timeline.log(time_s, "site/drops", rr.Points2D(where, radii=2.0 * size_m, colors=tints, draw_order=24.0))
-    texts = [text for _, _, text in words]
-    timeline.log(time_s, "site/names/drops", names(where, texts, tints, 6.0 * size_m))
+    size_m = frame(run.mission).marker_m
+    fetched, lying = custody.fetched.items(), [item for item in custody.lying.items() if item[1]]
 
+    def discs(entity: str, radius: float, order: float, held: list[tuple[str, str]], said: list[str]) -> None:
+        points = rr.Points2D(
+            [places[node] for node, _ in held],
+            radii=radius * size_m,
+            colors=[colors.get(robot, INK) for _, robot in held],
+            labels=said,
+            show_labels=False,
+            draw_order=order,
+        )
+        timeline.log(time_s, f"site/drops/{entity}", points)
 
-def _drops_in_words(custody: Custody) -> list[tuple[str, str, str]]:
-    """Return node, sender and label of every drop there was: what lies there, or who fetched it."""
-    lying = [
-        (node, sender, f"{count} left by {sender}")
-        for (node, sender), count in custody.lying.items()
-        if count
-    ]
-    fetched = [
-        (node, sender, f"{count} from {sender} to {receiver}")
-        for (node, sender, receiver), count in custody.fetched.items()
-    ]
-    return lying + fetched
+    left = list(custody.lying)
+    discs("left", 2.2, 23.0, left, [f"left by {sender}" for _, sender in left])
+    discs(
+        "fetched", 1.7, 24.0,
+        [(node, receiver) for (node, _, receiver), _ in fetched],
+        [f"{count} from {sender} to {receiver}" for (_, sender, receiver), count in fetched],
+    )  # fmt: skip
+    where = [places[node] for (node, _), _ in lying]
+    tints = [colors.get(sender, INK) for (_, sender), _ in lying]
+    words = [f"{count} left by {sender}" for (_, sender), count in lying]
+    timeline.log(time_s, "site/names/drops", names(where, words, tints, 6.0 * size_m))
 
 
 def log_online_map(timeline: Timeline, run: Run) -> None:

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from itertools import pairwise
 
 import numpy as np
 
 from malipp_field.bus.messages import PlanAdopted, Telemetry
 from malipp_field.field import FloatArray
+from malipp_field.mission import node_positions
 from malipp_field.plan import RobotPlan
 from malipp_field.record import Run
+from malipp_field.review.custody import loads
+from malipp_field.review.tracks import local_track
 
 
 def energy_used(run: Run, robot: str) -> tuple[FloatArray, FloatArray]:
@@ -32,8 +36,8 @@ def predicted_energy(run: Run, robot: str) -> list[tuple[FloatArray, FloatArray]
     """Return for every plan version the energy (J) it predicts over mission time (s), as a polyline.
 
     Version 1 begins at nothing. A later one plans the rest of the mission: it begins with what was measured
-    when it came into force, to which come what its predecessor still predicts for the part that was
-    committed, and then its own legs.
+    when it came into force, to which come the way to the node where its route begins (straight: that is the
+    leg in progress), and then its own legs.
     """
     curves: list[tuple[FloatArray, FloatArray]] = []
     times, used = energy_used(run, robot)
@@ -43,7 +47,7 @@ def predicted_energy(run: Run, robot: str) -> list[tuple[FloatArray, FloatArray]
         if curves and times.size:
             now_s = adopted.time_s - run.start_s
             measured = float(np.interp(now_s, times, used))
-            curve = _continued(now_s, measured, curves[-1], curve)
+            curve = _continued(now_s, measured, _committed_j(run, robot, adopted), curve)
         curves.append(curve)
     return curves
 
@@ -60,15 +64,28 @@ def _legs(route: RobotPlan) -> tuple[FloatArray, FloatArray]:
 
 
 def _continued(
-    now_s: float, measured: float, old: tuple[FloatArray, FloatArray], new: tuple[FloatArray, FloatArray]
+    now_s: float, measured_j: float, committed_j: float, legs: tuple[FloatArray, FloatArray]
 ) -> tuple[FloatArray, FloatArray]:
-    """Return a new plan's curve from ``now_s`` on, with its predecessor's for what was committed."""
-    free_s = max(now_s, float(new[0][0]))
-    committed = np.interp(free_s, *old) - np.interp(now_s, *old)
-    later = new[0] > now_s
-    times = np.concatenate([[now_s], new[0][later]])
-    start = measured + committed - np.interp(now_s, *new)
-    return times, np.concatenate([[measured], start + new[1][later]])
+    """Return the curve of a plan for the rest of a mission from ``now_s`` on."""
+    times, energies = legs
+    later = times > now_s
+    start_j = measured_j + committed_j - float(np.interp(now_s, times, energies))
+    return (
+        np.concatenate([[now_s], times[later]]),
+        np.concatenate([[measured_j], start_j + energies[later]]),
+    )
+
+
+def _committed_j(run: Run, robot: str, adopted: PlanAdopted) -> float:
+    """Return the energy from where a robot was to the node where its route under a new plan begins."""
+    times, places = local_track(run, robot)
+    now_s = adopted.time_s - run.start_s
+    here = [float(np.interp(now_s, times, axis)) for axis in places.T]
+    there = node_positions(run.mission)[adopted.plan.robot(robot).route[0].node]
+    load = [0, *(count for time_s, count in loads(run, robot) if time_s <= adopted.time_s)][-1]
+    who = run.mission.robot(robot)
+    mass_kg = who.empty_mass_kg + load * run.mission.team.sample_mass_kg
+    return who.energy_per_kg_m * mass_kg * math.dist(here, there)
 
 
 def adoption_time(run: Run, adopted: PlanAdopted) -> float:

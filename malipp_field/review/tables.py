@@ -29,6 +29,7 @@ def print_summary(summary: Summary, console: Console | None = None) -> None:
     for table in (_outcome(summary), _robots(summary), _replans(summary), _custody(summary)):
         if table.row_count:
             console.print(table)
+            console.print()
 
 
 def _when(summary: Summary) -> str:
@@ -53,15 +54,15 @@ def _robots(summary: Summary) -> Table:
     table = _table("Robots", "planned: the first plan; expected: the last plan, from what was measured then")
     table.add_column("robot")
     for name in (
-        "energy used",
-        "planned",
-        "expected",
-        "budget",
+        "used J",
+        "planned J",
+        "expected J",
+        "budget J",
         "time",
         "planned",
-        "driven",
+        "driven m",
         "taken",
-        "delivered",
+        "home",
     ):
         table.add_column(name, justify="right")
     for robot in summary.robots:
@@ -72,10 +73,10 @@ def _robots(summary: Summary) -> Table:
 def _robot_row(robot: RobotSummary) -> list[str]:
     energies = (robot.energy_used_j, robot.energy_planned_j, robot.energy_expected_j, robot.energy_budget_j)
     return [
-        *(_number(energy, ",.0f", " J") for energy in energies),
+        *(_number(energy, ",.0f") for energy in energies),
         _clock(robot.time_taken_s),
         _clock(robot.time_planned_s),
-        f"{robot.distance_m:,.0f} m",
+        f"{robot.distance_m:,.0f}",
         str(robot.collected),
         str(robot.delivered),
     ]
@@ -142,11 +143,12 @@ def _table(title: str, caption: str | None = None) -> Table:
         caption_justify="left",
         box=box.SIMPLE_HEAD,
         pad_edge=False,
+        show_edge=False,
     )
 
 
-def _number(value: float | None, form: str, unit: str = "") -> str:
-    return _NOTHING if value is None else f"{value:{form}}{unit}"
+def _number(value: float | None, form: str) -> str:
+    return _NOTHING if value is None else f"{value:{form}}"
 
 
 def _clock(time_s: float | None) -> str:

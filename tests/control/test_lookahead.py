@@ -95,7 +95,7 @@ def test_a_committed_drop_is_a_cache_from_its_end_and_the_clearance_on() -> None
 
 
 def track_of(mission: Mission, robot: str, vehicle_mission: VehicleMission, uid: str | None) -> Track:
-    track = Track(mission, robot, vehicle_mission)
+    track = Track(mission, drop_plan().robot(robot), vehicle_mission)
     track.update(telemetry(robot, uid, 0.0, 100.0, 0.0), Roads(mission), 0)
     return track
 
@@ -143,7 +143,7 @@ def test_a_stop_half_done_leaves_its_other_half() -> None:
         on_board={},
         caches={},
     )
-    tracks = {r: track_of(mission, r, m, m.steps[0].uid if m.steps else None) for r, m in missions.items()}
+    tracks = {r: Track(mission, relay_plan().robot(r), m) for r, m in missions.items()}
     here, home = remainder(relay_plan(), tracks, outlook).robot("scout").route
     assert (here.node, here.collect, home.node) == ("far", 1, "base")
 
@@ -184,7 +184,7 @@ def test_deviation_is_foreseen_on_the_way_from_pace_and_drain() -> None:
     missions, _ = compiled(relay_plan())
     expected = expectations(relay_plan(), missions, {"scout": 10000.0, "carrier": 50000.0}, mission)
     first, second = missions["scout"].steps[:2]
-    track = Track(mission, "scout", missions["scout"])
+    track = Track(mission, relay_plan().robot("scout"), missions["scout"])
     track.update(telemetry("scout", first.uid, 10.0, 100.0, 0.0), roads, 0)
     on_time = deviation("scout", 10.0, track.whereabouts(roads, 0), 0, expected, roads)
     assert on_time is not None

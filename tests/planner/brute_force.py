@@ -50,7 +50,9 @@ class Rover:
     handoffs: bool
 
 
-def optimum(mission: Mission, state: TeamState | None = None, *, handoffs: bool = True) -> tuple[float, float] | None:
+def optimum(
+    mission: Mission, state: TeamState | None = None, *, handoffs: bool = True
+) -> tuple[float, float] | None:
     """Return the least J and, for it, the least energy; None where there is no plan. One or two robots."""
     state = state or initial_state(mission)
     handoffs = handoffs and len(mission.team.robots) == 2
@@ -151,7 +153,8 @@ def _extend(
                 continue
             spent = energy + rover.cost[here, depot] * mass
             if spent <= rover.budget_j * (1 + _SLACK):
-                yield Schedule((*nodes, depot), *(tuple(sorted(part)) for part in done), spent)
+                collected, dropped, picked, fetched = (tuple(sorted(part)) for part in done)
+                yield Schedule((*nodes, depot), collected, dropped, picked, fetched, spent)
         for node in rover.stops:
             spent = energy + rover.cost[here, node] * mass
             if node not in nodes and spent <= rover.budget_j * (1 + _SLACK):

@@ -10,7 +10,7 @@ from malipp_field.mission import Cache, Mission, RobotState, TeamState
 
 
 def tiny_mission(seed: int, *, robots: int = 2, candidates: int = 3, **changes: Any) -> Mission:
-    """Return a mission of mixed generality: depots, factors, closures, limits and services vary with the seed.
+    """Return a mission of mixed generality: depots, factors, limits and services vary with the seed.
 
     ``changes`` replace entries of every robot.
     """
@@ -67,7 +67,7 @@ def tiny_mission(seed: int, *, robots: int = 2, candidates: int = 3, **changes: 
 
 
 def part_way(mission: Mission, seed: int) -> TeamState:
-    """Return a state in which samples are on board, taken, and (with two candidates or more) lying in a drop."""
+    """Return a state in which samples are on board, taken already, and lying in a drop."""
     rng = np.random.default_rng(seed)
     ids = [node.id for node in mission.site.nodes if node.role == "candidate"]
     robots = []

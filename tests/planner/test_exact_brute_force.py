@@ -12,9 +12,7 @@ from malipp_field.planner import solve, verify
 
 def compare(mission: Mission, state: TeamState | None, *, handoffs: bool) -> None:
     truth = optimum(mission, state, handoffs=handoffs)
-    plan = solve(
-        mission, state=state, method="exact", handoffs=handoffs, mip_gap=1e-7, time_limit_s=60.0
-    )
+    plan = solve(mission, state=state, method="exact", handoffs=handoffs, mip_gap=1e-7, time_limit_s=60.0)
     if truth is None:
         assert plan.status == "infeasible"
         assert plan.reason

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -15,7 +16,7 @@ from malipp_field.plan import Plan
 from malipp_field.planner import Progress, relaxation_bound, solve, verify
 
 MISSIONS = Path(__file__).parents[2] / "missions"
-FEW = settings(max_examples=6, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
+FEW = settings(max_examples=5, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
 seeds = st.integers(100, 400).filter(lambda seed: seed % 5 != 4)
 
 
@@ -114,9 +115,7 @@ def test_an_unreachable_depot_is_named_with_the_energy_it_needs() -> None:
 
 def test_samples_that_nobody_can_fetch_are_named() -> None:
     mission = tiny_mission(1, energy_budget_j=3.0, start="d0", depots=["d0"])
-    state = initial_state(mission).model_copy(
-        update={"caches": (Cache(node="v2", sender="r1", count=1),)}
-    )
+    state = initial_state(mission).model_copy(update={"caches": (Cache(node="v2", sender="r1", count=1),)})
     for handoffs in (True, False):
         plan = solve(mission, state=state, handoffs=handoffs)
         assert plan.status == "infeasible"
@@ -126,9 +125,7 @@ def test_samples_that_nobody_can_fetch_are_named() -> None:
 
 def test_more_samples_than_the_team_can_take_up_at_one_stop_each() -> None:
     mission = tiny_mission(1, energy_budget_j=90.0, start="d0", depots=["d0"], payload_capacity=1)
-    state = initial_state(mission).model_copy(
-        update={"caches": (Cache(node="v2", sender="r1", count=3),)}
-    )
+    state = initial_state(mission).model_copy(update={"caches": (Cache(node="v2", sender="r1", count=3),)})
     assert solve(mission, state=state).reason == (
         "samples of r1 at v2: 3 lie there, robots that can fetch them carry 2 at most, and stop there once"
     )
@@ -151,14 +148,14 @@ def test_the_time_limit_is_kept(method: str) -> None:
 def test_cancelling_gives_the_best_plan_so_far() -> None:
     heard: list[Progress] = []
     plan = solve(
-        quarry(), time_limit_s=60.0, on_progress=heard.append,
+        quarry(), method="exact", time_limit_s=60.0, on_progress=heard.append,
         cancelled=lambda: any(p.stage == "ruin and recreate" for p in heard),
     )  # fmt: skip
     assert plan.status == "feasible"
     assert plan.solve_time_s < 40.0
     incumbents = [p.incumbent for p in heard if p.incumbent is not None and p.stage != "sequential"]
     assert information(plan) == pytest.approx(incumbents[-1])
-    assert all(p.elapsed_s <= q.elapsed_s for p, q in zip(heard, heard[1:], strict=False))
+    assert all(p.elapsed_s <= q.elapsed_s for p, q in pairwise(heard))
 
 
 def test_cancelled_at_once_the_plan_is_a_modest_one() -> None:
@@ -187,7 +184,7 @@ def test_the_same_seed_gives_the_same_plan() -> None:
 
 def test_a_warm_start_is_never_lost() -> None:
     mission = quarry()
-    first = solve(mission, time_limit_s=8.0)
+    first = solve(mission, method="exact", time_limit_s=4.0)
     again = solve(mission, time_limit_s=1.0, warm_start=first, version=2)
     assert information(again) <= information(first)
     assert again.version == 2

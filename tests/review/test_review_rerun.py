@@ -135,13 +135,17 @@ def test_track_and_routes(rows: Rows) -> None:
 
 
 def test_drops_say_who_left_and_who_fetched_and_depots_count(rows: Rows) -> None:
-    words = [value for _, value in _timed(rows, "/site/names/drops", "Points2D:labels")]
-    assert words == [
-        ["1 left by kite"],
-        ["2 left by kite"],
-        ["1 left by kite", "1 from kite to mule"],
-        ["2 from kite to mule"],
-    ]
+    lying = [value for _, value in _timed(rows, "/site/names/drops", "Points2D:labels")]
+    assert lying == [["1 left by kite"], ["2 left by kite"], ["1 left by kite"], []]
+    fetched = [value for _, value in _timed(rows, "/site/drops/fetched", "Points2D:labels")]
+    assert fetched == [[], [], ["1 from kite to mule"], ["2 from kite to mule"]]
+    colors = {
+        robot: _timed(rows, f"/site/drops/{what}", "Points2D:colors")[-1][1][0]
+        for robot, what in (("kite", "left"), ("mule", "fetched"))
+    }
+    (track,) = [row for row in rows["/site/team/kite/track"] if row.get("LineStrips2D:colors")]
+    assert colors["kite"] == track["LineStrips2D:colors"][0]
+    assert colors["mule"] != colors["kite"]
     tallies = _timed(rows, "/site/names/depots", "Points2D:labels")
     assert tallies[0] == (0.0, ["base: 0 in", "camp: 0 in"])
     assert tallies[-1][1] == ["base: 8 in", "camp: 2 in"]
