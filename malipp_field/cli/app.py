@@ -106,7 +106,7 @@ def plan(
     typer.echo(f"plan: {output}")
 
 
-@app.command()
+@app.command(short_help="Check a plan against every rule of the paper.")
 def verify(mission_file: MissionFile, plan_file: PlanFile) -> None:
     """Check a plan against every rule of the paper; each broken one is a line on stderr."""
     from malipp_field.planner import verify as find_violations
@@ -120,7 +120,7 @@ def verify(mission_file: MissionFile, plan_file: PlanFile) -> None:
     typer.echo(f"{plan_file}: every rule is kept")
 
 
-@app.command()
+@app.command(short_help="Write mission files for QGroundControl and others.")
 def export(
     mission_file: MissionFile,
     plan_file: PlanFile,
@@ -133,7 +133,7 @@ def export(
         typer.echo(path)
 
 
-@app.command()
+@app.command(short_help="Start simulated MAVLink rovers on this machine.")
 def sim(
     mission_file: MissionFile,
     port: Annotated[int, typer.Option(min=1024, max=65000, help="UDP port of the first rover.")] = 14551,
@@ -145,7 +145,7 @@ def sim(
     asyncio.run(_simulate(read_mission(mission_file), port, speed))
 
 
-@app.command()
+@app.command(short_help="Plan, export, fly a simulated team, and review.")
 def run(
     mission_file: MissionFile,
     output: Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="Folder for all results.")],
@@ -172,7 +172,7 @@ def run(
         raise typer.Exit(INCOMPLETE)
 
 
-@app.command()
+@app.command(short_help="Make a Rerun recording and a summary of a mission.")
 def review(
     recording: Annotated[Path, typer.Argument(metavar="RUN.mcap", help="A recording of a mission.")],
     output: Annotated[
@@ -225,7 +225,7 @@ def _show_plan(mission: Mission, found: Plan) -> None:
 
     if found.robots:
         out.print(plan_table(mission, found))
-    out.print(plan_words(found, information_model(mission).prior))
+    out.print(plan_words(found, information_model(mission).prior), soft_wrap=True)
 
 
 def _stop_without_routes(found: Plan) -> None:

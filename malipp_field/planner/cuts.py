@@ -1,8 +1,8 @@
 """Linear bounds on the information objective that are tight at every sampling plan.
 
 A tangent of J in the precision p is weak away from its point: the first sample of a precise sensor moves p
-far along a curve that flattens at once. Part of the prior covariance is therefore moved into the noise: for any
-diagonal 0 <= D <= K_VV,
+far along a curve that flattens at once. Part of the prior covariance is therefore moved into the noise: for
+any diagonal 0 <= D <= K_VV,
 
     K_VV + P^-1 = (K_VV - D) + (P^-1 + D),
 
