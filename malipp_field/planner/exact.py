@@ -29,6 +29,7 @@ _IMPROVEMENTS = 17.0
 They grow with the cube of its size: small models are soon proven, large ones are not proven at all.
 """
 _LEAST_IMPROVEMENTS = 20
+_FIRST_ASKS = 20
 _LAST_STAGES = 0.15
 """Share of the time limit that is kept for energy and makespan."""
 _ENERGY_SLACK = 1e-7
@@ -130,6 +131,7 @@ class InformationStage:
         """Solve and cut until the gap is closed."""
         if not self._tangents():
             return Result(None, np.inf, proven=True, infeasible=True)
+        self._begin()
         while not self.search.effort.over and not self.closed:
             outcome, news = self._round()
             if outcome.status == "infeasible":
@@ -145,6 +147,13 @@ class InformationStage:
             return False
         gap = relative_gap(self.best.information, self.bound)
         return self.best.information - self.bound <= 1e-9 or (gap is not None and gap <= self.search.gap)
+
+    def _begin(self) -> None:
+        """Improve the plan begun with, and cut where it lies: near the optimum is where cuts are needed."""
+        point = self._improve(_FIRST_ASKS)
+        if point is not None:
+            point[self.model.columns.theta] = 0.0
+            self.model.add_cuts(point)
 
     def _consider(self, point: FloatArray) -> None:
         """Take an integer point as a plan, and keep it for cutting."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -28,9 +29,15 @@ FOREVER = Effort(deadline=math.inf)
 seeds = st.integers(0, 10_000)
 
 
-def square(**changes: object) -> Mission:
+def square(**changes: Any) -> Mission:
     """Return two robots at one depot and two candidates, everything within reach."""
-    robot = {"start": "d0", "depots": ["d0"], "energy_budget_j": 99.0, "samples_per_node": 1, "payload_capacity": 2}
+    robot: dict[str, Any] = {
+        "start": "d0",
+        "depots": ["d0"],
+        "energy_budget_j": 99.0,
+        "samples_per_node": 1,
+        "payload_capacity": 2,
+    }
     return tiny_mission(1, candidates=2, **(robot | changes))
 
 
@@ -58,7 +65,7 @@ def test_cuts_touch_j_where_they_are_made_and_are_never_above_it(seed: int) -> N
     for group in groups:
         value, gradient = group.information.value_and_gradient(group.scaled(here))
         touching += value
-        below += value + gradient @ (group.scaled(there) - group.scaled(here))
+        below += value + float(gradient @ (group.scaled(there) - group.scaled(here)))
     assert touching == pytest.approx(information.value(here), rel=1e-6)
     assert below <= information.value(there) + 1e-6
 
@@ -113,9 +120,7 @@ def test_a_plan_survives_the_way_into_the_model_and_into_a_draft(seed: int) -> N
     if team is None:
         return
     team = Improver(problem, seed).improve(team, 30, FOREVER)
-    assert team_plan(problem, draft_of(problem, team).visits()) == pytest.approx(team) or (
-        draft_of(problem, team).visits() == team.routes
-    )
+    assert draft_of(problem, team).visits() == team.routes
     point = start_point(TeamModel(problem), team)
     assert point is not None
     assert read_routes(TeamModel(problem), point) == team.routes
@@ -155,7 +160,7 @@ def test_an_idle_stop_is_left_out_of_a_route() -> None:
 
 
 def test_ruin_and_recreate_is_reproducible_and_never_worse() -> None:
-    problem = build_problem(tiny_mission(6, candidates=4))
+    problem = build_problem(tiny_mission(6, candidates=4, samples_per_node=1))
     start = Improver(problem, 0).construct()
     assert start is not None
     once, again = (Improver(problem, 5).improve(start, 60, FOREVER) for _ in range(2))
