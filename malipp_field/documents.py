@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic_core import ErrorDetails
 from ruamel.yaml import YAML
-from ruamel.yaml.comments import CommentedMap, CommentedSeq
+from ruamel.yaml.comments import CommentedMap, CommentedSeq, TaggedScalar
 from ruamel.yaml.constructor import DuplicateKeyError
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
 
@@ -69,8 +69,7 @@ class Document:
         try:
             return model.model_validate(self.data)
         except ValidationError as fault:
-            # An unknown key is usually a typing error that also makes a known key "missing": name it first.
-            details = min(fault.errors(), key=lambda e: e["type"] != "extra_forbidden")
+            details = min(fault.errors(), key=_urgency)
             cause = details.get("ctx", {}).get("error")
             if isinstance(cause, ContentError):
                 raise self.error(cause.location, cause.problem) from None
@@ -115,7 +114,8 @@ def parse_document(text: str, source: str) -> Document:
         raise InputError(source, line, "", f"{problem}; each key may stand once") from None
     except MarkedYAMLError as fault:
         mark = fault.problem_mark or fault.context_mark
-        raise InputError(source, mark.line + 1 if mark else None, "", f"{fault.problem}") from None
+        problem = _YAML_PROBLEMS.get(str(fault.problem), str(fault.problem))
+        raise InputError(source, mark.line + 1 if mark else None, "", problem) from None
     except YAMLError as fault:
         raise InputError(source, None, "", str(fault).splitlines()[0]) from None
     lines: dict[Location, int] = {}
@@ -159,12 +159,22 @@ def _plain(node: Any, location: Location, lines: dict[Location, int]) -> Any:
     return node
 
 
+_YAML_PROBLEMS = {"but found another document": "a second document begins here; a file holds one"}
+
 _EXPECTED = {
     "float_type": "a number", "int_type": "a whole number", "string_type": "text",
     "bool_type": "true or false",
     "list_type": "a list", "dict_type": "a mapping", "model_type": "a mapping of keys",
     "model_attributes_type": "a mapping of keys", "tuple_type": "a list", "finite_number": "a finite number",
+    "string_pattern_mismatch": "a name of letters, digits, '_', '.' and '-', without blanks",
 }  # fmt: skip
+
+
+def _urgency(details: ErrorDetails) -> int:
+    """Put a file of another format first, then unknown keys: they often make a known one "missing"."""
+    if details["type"] == "literal_error" and details["loc"] == ("format",):
+        return 0
+    return 1 if details["type"] == "extra_forbidden" else 2
 
 
 def _in_words(details: ErrorDetails, model: type[BaseModel], location: Location) -> str:
@@ -183,6 +193,8 @@ def _in_words(details: ErrorDetails, model: type[BaseModel], location: Location)
             else ""
         )
         return f"expected {_EXPECTED[kind]}, found {_shown(value)}{hint}"
+    if kind == "too_short":
+        return f"at least {details['ctx']['min_length']} needed, found {details['ctx']['actual_length']}"
     message = details["msg"].removeprefix("Value error, ").removeprefix("Input ")
     return message if kind == "value_error" else f"{message}, found {_shown(value)}"
 
@@ -192,6 +204,10 @@ def _shown(value: Any) -> str:
         return "a mapping"
     if isinstance(value, list):
         return "a list"
+    if isinstance(value, TaggedScalar):
+        return f"a value with the tag {value.tag.value}"
+    if isinstance(value, datetime.date):
+        return str(value)
     text = "nothing" if value is None else repr(value)
     return text if len(text) <= 60 else text[:57] + "..."
 

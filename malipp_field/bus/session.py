@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import json
 import logging
 from collections.abc import Awaitable, Callable
@@ -22,7 +23,8 @@ log = logging.getLogger(__name__)
 class Bus:
     """One peer on the bus. Use as an async context manager.
 
-    Callbacks and handlers run in the event loop that entered the context, never in Zenoh's threads.
+    Callbacks and handlers run in the event loop that entered the context, never in Zenoh's threads. What one
+    peer says, this one hears in the same order, whatever the keys; there is no order among several peers.
 
     Parameters
     ----------
@@ -51,6 +53,7 @@ class Bus:
         self._session: Any = None
         self._declared: list[Any] = []  # Zenoh undeclares what nobody holds on to
         self._answers: set[asyncio.Task[None]] = set()
+        self._questions: set[asyncio.Future[Reply]] = set()
         self.rejected = 0
 
     async def __aenter__(self) -> Bus:
@@ -64,9 +67,13 @@ class Bus:
     async def __aexit__(
         self, kind: type[BaseException] | None, fault: BaseException | None, trace: TracebackType | None
     ) -> None:
-        for answer in self._answers:
+        answers = list(self._answers)
+        for answer in answers:
             answer.cancel()
+        await asyncio.gather(*answers, return_exceptions=True)
         session, self._session = self._session, None
+        for question in self._questions:
+            _fail(question, LinkError("the bus was closed before the answer came"))
         await asyncio.to_thread(session.close)
 
     def publish(self, key: str, message: Message) -> None:
@@ -96,7 +103,8 @@ class Bus:
             if message is not None:
                 callback(key, message)
 
-        self._declared.append(await asyncio.to_thread(self._session.declare_subscriber, key_expr, arrived))
+        handler = _in_order(arrived)
+        self._declared.append(await asyncio.to_thread(self._session.declare_subscriber, key_expr, handler))
 
     async def serve(
         self, key: str, kind: type[MessageT], handler: Callable[[MessageT], Awaitable[Reply]]
@@ -115,12 +123,19 @@ class Bus:
             with query:  # leaving the context tells the asker that this was the last reply
                 message = self._parse(kind, key, bytes(query.payload or b""))
                 if message is None:
-                    query.reply_err(b"not a valid request")
+                    query.reply_err(b"the request was not understood")
                     return
-                reply = await handler(message)
+                try:
+                    reply = await handler(message)
+                except Exception as fault:  # the asker must hear of it, and the next request be answered
+                    log.exception("%s: the request could not be handled", key)
+                    query.reply_err(f"the request failed: {fault}".encode())
+                    return
                 query.reply(key, reply.model_dump_json().encode())
 
-        self._declared.append(await asyncio.to_thread(self._session.declare_queryable, key, arrived))
+        self._declared.append(
+            await asyncio.to_thread(self._session.declare_queryable, key, _in_order(arrived))
+        )
 
     async def request(self, key: str, message: Message, timeout_s: float) -> Reply:
         """Ask whoever serves ``key`` and return the answer.
@@ -138,33 +153,33 @@ class Bus:
         future: asyncio.Future[Reply] = self._loop.create_future()
 
         def replied(reply: Any) -> None:
-            payload = bytes(reply.ok.payload) if reply.ok is not None else b""
-            self._in_loop(settle, payload)
+            if reply.ok is not None:
+                self._in_loop(settle, bytes(reply.ok.payload))
+            else:  # the other side's words, or Zenoh's ("Timeout")
+                self._in_loop(_fail, future, LinkError(f"{key}: {reply.err.payload.to_string()}"))
 
         def settle(payload: bytes) -> None:
             answer = self._parse(Reply, key, payload)
-            if future.done():
-                return
             if answer is None:
-                future.set_exception(LinkError(f"{key}: the request was not understood"))
-            else:
+                _fail(future, LinkError(f"{key}: the answer was not understood"))
+            elif not future.done():
                 future.set_result(answer)
 
         def ended() -> None:
-            self._in_loop(give_up)
+            self._in_loop(_fail, future, LinkError(f"{key}: no answer"))
 
-        def give_up() -> None:
-            if not future.done():
-                future.set_exception(LinkError(f"{key}: no answer"))
-
-        self._session.get(
-            key,
-            zenoh.handlers.Callback(replied, ended),
-            payload=message.model_dump_json().encode(),
-            timeout=timeout_s,
-            congestion_control=zenoh.CongestionControl.BLOCK,
-        )
-        return await future
+        self._questions.add(future)
+        try:
+            self._session.get(
+                key,
+                zenoh.handlers.Callback(replied, ended, indirect=False),
+                payload=message.model_dump_json().encode(),
+                timeout=timeout_s,
+                congestion_control=zenoh.CongestionControl.BLOCK,
+            )
+            return await future
+        finally:
+            self._questions.discard(future)
 
     async def present(self, key: str) -> None:
         """Show that the holder of ``key`` is there, for as long as this session lives."""
@@ -178,7 +193,9 @@ class Bus:
 
         self._declared.append(
             await asyncio.to_thread(
-                lambda: self._session.liveliness().declare_subscriber(key_expr, changed, history=True)
+                lambda: self._session.liveliness().declare_subscriber(
+                    key_expr, _in_order(changed), history=True
+                )
             )
         )
 
@@ -192,5 +209,20 @@ class Bus:
 
     def _in_loop(self, callback: Callable[..., None], *arguments: Any) -> None:
         """Hand over from a Zenoh thread; what arrives while the process shuts down is of no use."""
-        if self._session is not None and not self._loop.is_closed():
-            self._loop.call_soon_threadsafe(callback, *arguments)
+        if self._session is not None:
+            with contextlib.suppress(RuntimeError):  # the loop is closed
+                self._loop.call_soon_threadsafe(callback, *arguments)
+
+
+def _in_order(callback: Callable[[Any], None]) -> Any:
+    """Have a callback run in the thread that receives, not in one of its own for each declaration.
+
+    Otherwise what is declared apart is heard in no order: a vehicle's telemetry before the confirmation that
+    was sent ahead of it. The callback must be quick: the session receives nothing meanwhile.
+    """
+    return zenoh.handlers.Callback(callback, indirect=False)
+
+
+def _fail(question: asyncio.Future[Reply], fault: LinkError) -> None:
+    if not question.done():
+        question.set_exception(fault)

@@ -1,7 +1,8 @@
 """The `malipp` command: plan, verify, export, sim, run, review.
 
 A fault the user can mend is one line on stderr and exit status 2. `plan` and `run` exit with 3 when the
-mission is proven infeasible and with 4 when a limit came before the first plan.
+mission is proven infeasible and with 4 when a limit came before the first plan, `run` with 5 when not every
+sample came home. Ctrl-C is 130.
 """
 
 from __future__ import annotations
@@ -22,11 +23,10 @@ from malipp_field.errors import InputError, MalippError, PlanError
 from malipp_field.mission import Mission, read_mission
 from malipp_field.plan import Plan, read_plan, write_plan
 
-INPUT_ERROR, INFEASIBLE, LIMIT_REACHED, INCOMPLETE = 2, 3, 4, 5
+INPUT_ERROR, INFEASIBLE, LIMIT_REACHED, INCOMPLETE, INTERRUPTED = 2, 3, 4, 5, 130
 
 app = typer.Typer(
     add_completion=False,
-    no_args_is_help=True,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
     help="Plan, export, fly and review missions of sampling rovers that hand over samples at dead drops.",
@@ -98,7 +98,7 @@ def plan(
     Exit status: 0 with a plan, 3 when there is provably none, 4 when the limit came first.
     """
     mission = read_mission(mission_file)
-    _writable(output)
+    _writable(output, mission_file)
     found = _solve(mission, method, handoffs, time_limit, gap, seed, threads)
     write_plan(found, output)
     _show_plan(mission, found)
@@ -108,15 +108,21 @@ def plan(
 
 @app.command(short_help="Check a plan against every rule of the paper.")
 def verify(mission_file: MissionFile, plan_file: PlanFile) -> None:
-    """Check a plan against every rule of the paper; each broken one is a line on stderr."""
+    """Check a plan against every rule of the paper; each broken one is a line on stderr.
+
+    Exit status: 0 when every rule is kept, 2 when not, 3 or 4 for a plan file that says why there is no plan.
+    """
     from malipp_field.planner import verify as find_violations
 
-    mission = read_mission(mission_file)
-    found = find_violations(mission, read_plan(plan_file))
-    for violation in found:
+    mission, candidate = read_mission(mission_file), read_plan(plan_file)
+    violations = find_violations(mission, candidate)
+    for violation in violations:
         typer.echo(f"{plan_file}: {violation}", err=True)
-    if found:
+    if violations:
         raise typer.Exit(INPUT_ERROR)
+    if not candidate.robots:
+        _show_plan(mission, candidate)
+    _stop_without_routes(candidate)
     typer.echo(f"{plan_file}: every rule is kept")
 
 
@@ -129,6 +135,7 @@ def export(
 ) -> None:
     """Write one vehicle mission file a robot, and a map file that ties its items to stops and samples."""
     mission, found = _verified(mission_file, plan_file)
+    _folder(output)
     for path in _export(mission, found, file_format, output):
         typer.echo(path)
 
@@ -155,16 +162,20 @@ def run(
     time_limit: Seconds = None,
     speed: Speed = None,
 ) -> None:
-    """Plan, export, fly with simulated rovers, record and review, all in one."""
-    from malipp_field.cli.whole_run import whole_run
+    """Plan, export, fly with simulated rovers, record and review, all in one.
+
+    Exit status: 0 when every sample taken is home, 5 when not; 3 when there is provably no plan, 4 when the
+    limit came first.
+    """
+    from malipp_field.cli.whole_run import RESULTS, whole_run
 
     mission = read_mission(mission_file)
-    if plan_file is None:
-        _writable(output / "plan.json")
-        found = _solve(mission, None, None, time_limit, None, None, None)
-    else:
-        mission, found = _verified(mission_file, plan_file)
-        _writable(output / "plan.json")
+    given = None if plan_file is None else _verified(mission_file, plan_file)[1]
+    _folder(output)
+    _folder(output / "export")
+    for name in RESULTS:
+        _writable(output / name, mission_file)
+    found = given or _solve(mission, None, None, time_limit, None, None, None)
     write_plan(found, output / "plan.json")
     _show_plan(mission, found)
     _stop_without_routes(found)
@@ -186,8 +197,10 @@ def review(
     """Make a Rerun recording and a summary from a mission recording alone."""
     from malipp_field.cli.whole_run import review_recording
 
+    if recording.is_dir():
+        raise InputError(str(recording), None, "", "is a folder; name the recording in it (run.mcap)")
     target = output or recording.with_suffix(".rrd")
-    _writable(target)
+    _writable(target, recording)
     review_recording(recording, target)
     typer.echo(f"review: {target}")
     if open_viewer:
@@ -253,13 +266,24 @@ def _export(mission: Mission, found: Plan, file_format: Format, output: Path) ->
     return write_exports(mission, found, file_format.value, output)
 
 
-def _writable(path: Path) -> None:
-    """Find out before the work, not after it, that its result cannot be written."""
+def _folder(path: Path) -> None:
+    """Refuse a folder for results that is something else already."""
+    if path.exists() and not path.is_dir():
+        raise InputError(str(path), None, "", "is not a folder")
+
+
+def _writable(path: Path, source: Path) -> None:
+    """Find out before the work, not after it, that its result cannot be written, or not over ``source``."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as fault:
         raise InputError(str(path.parent), None, "", f"cannot be made: {fault.strerror}") from None
-    if path.is_dir() or not os.access(path if path.exists() else path.parent, os.W_OK):
+    if path.exists() and not path.is_file():
+        # Results are moved into place whole, which would replace a device or a pipe by a file.
+        raise InputError(str(path), None, "", "cannot be written: it is not an ordinary file")
+    if path.exists() and source.exists() and path.samefile(source):
+        raise InputError(str(path), None, "", "cannot be written: it is what is to be read")
+    if not os.access(path if path.exists() else path.parent, os.W_OK):
         raise InputError(str(path), None, "", "cannot be written")
 
 
@@ -278,7 +302,8 @@ async def _simulate(mission: Mission, port: int, speed: float) -> None:
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line and exit with its status."""
     logging.basicConfig(level=logging.WARNING, format="%(levelname)s %(name)s: %(message)s")
-    sys.exit(_status(lambda: app(arguments, prog_name="malipp", standalone_mode=False)))
+    given = (sys.argv[1:] if arguments is None else arguments) or ["--help"]
+    sys.exit(_status(lambda: app(given, prog_name="malipp", standalone_mode=False)))
 
 
 def _status(command: Callable[[], object]) -> int:
@@ -293,7 +318,6 @@ def _status(command: Callable[[], object]) -> int:
     except MalippError as fault:
         typer.echo(str(fault), err=True)
         return INPUT_ERROR
-    except (KeyboardInterrupt, typer.Abort):
+    if result == INTERRUPTED:  # typer's word for a KeyboardInterrupt
         typer.echo("interrupted", err=True)
-        return 130
     return result if isinstance(result, int) else 0

@@ -52,7 +52,7 @@ class ProgressLine:
         line = f"{self._title}: {text}"
         now = time.monotonic()
         if self._tty:
-            self._spinner.update(text=Text(line))
+            self._spinner.update(text=Text(line, no_wrap=True, overflow="ellipsis"))
         elif now - self._last_line >= _LINE_EVERY_S:
             self._last_line = now
             err.print(line)
@@ -91,10 +91,11 @@ def _doing(coordinator: Coordinator, robot: str) -> str:
 
 def plan_table(mission: Mission, plan: Plan) -> Table:
     """Return a plan as a table, a robot a row."""
-    table = Table(title=f"{mission.name}: {plan.method}, {plan.status}", title_justify="left", box=None)
+    title = f"{mission.name}: {plan.method}, {plan.status}"
+    table = Table(title=title, title_justify="left", box=None, pad_edge=False)
     for column, justify in (
         ("robot", "left"), ("stops", "right"), ("samples", "right"), ("drops", "right"), ("picks", "right"),
-        ("home", "right"), ("energy kJ", "right"), ("of budget", "right"), ("ends at", "left"),
+        ("home", "right"), ("kJ", "right"), ("of budget", "right"), ("ends at", "left"),
         ("after s", "right"),
     ):  # fmt: skip
         table.add_column(column, justify=justify)  # type: ignore[arg-type]

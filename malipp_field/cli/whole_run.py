@@ -14,24 +14,28 @@ from malipp_field.review.tables import print_summary
 from malipp_field.run import fly
 from malipp_field.vehicle.export import ExportFormat, export
 
-_FORMATS: tuple[ExportFormat, ...] = ("plan", "wpl")
+PLAN, RECORDING, REVIEW = RESULTS = ("plan.json", "run.mcap", "review.rrd")
+"""The files of a run, beside the folder `export`."""
+_FORMATS: tuple[ExportFormat, ...] = ("wpl", "plan")  # the steps map, written with each, names the last
 
 
 def whole_run(mission: Mission, mission_file: Path, plan: Plan, output: Path, speed: float | None) -> bool:
     """Export and fly a verified plan, review the recording; return whether every sample came home."""
-    made = [output / "plan.json"]
+    made = [output / PLAN]
     if mission.site.origin is not None:
         for file_format in _FORMATS:
             made += export(mission, plan, file_format, output / "export")
-    recording = output / "run.mcap"
+    recording, reviewed = output / RECORDING, output / REVIEW
+    # One of an earlier run would pass for the review of this one, were this one cut off.
+    reviewed.unlink(missing_ok=True)
     text = _text(mission_file)
     with ProgressLine("flying") as line:
         outcome = asyncio.run(fly(mission, text, plan, recording, speed=speed, on_tick=line.flying))
-    review_recording(recording, output / "review.rrd")
+    review_recording(recording, reviewed)
     out.print(f"\n{outcome.reason[0].upper()}{outcome.reason[1:]}.")
-    for path in (*dict.fromkeys(made), recording, output / "review.rrd"):
+    for path in (*dict.fromkeys(made), recording, reviewed):
         out.print(f"  {path}", soft_wrap=True)
-    out.print(f"Look at it with: .venv/bin/rerun {output / 'review.rrd'}", soft_wrap=True)
+    out.print(f"Look at it with: .venv/bin/rerun {reviewed}", soft_wrap=True)
     return outcome.complete
 
 

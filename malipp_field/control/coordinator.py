@@ -8,29 +8,29 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Protocol
 
 from malipp_field.bus import (
     Bus,
     Confirmation,
     Event,
-    Load,
     Message,
     MissionText,
     PlanAdopted,
-    Release,
-    Start,
     Telemetry,
     presence_key,
     root,
     vehicle_key,
 )
 from malipp_field.clock import Clock
+from malipp_field.control.dispatch import Dispatch, Severity
 from malipp_field.control.experience import Experience
+from malipp_field.control.gates import may_pass
 from malipp_field.control.ledger import CustodyLedger
-from malipp_field.control.lookahead import LookAhead, Outlook, Roads
+from malipp_field.control.lookahead import LookAhead, Outlook, Roads, Whereabouts
 from malipp_field.control.orders import Orders
 from malipp_field.control.remainder import remainder
 from malipp_field.control.revision import Revision, revise
@@ -39,7 +39,7 @@ from malipp_field.control.tracks import Track
 from malipp_field.mission import Mission, TeamState, initial_state
 from malipp_field.plan import Plan
 from malipp_field.vehicle.compile import compile_plan
-from malipp_field.vehicle.steps import Action, VehicleMission
+from malipp_field.vehicle.steps import Action, Step, VehicleMission
 
 _TICK_S = 0.5
 _AGREEMENT_S = 8.0  # from a plan to all vehicles verified, on top of the planner's time limit
@@ -48,7 +48,6 @@ _RELEASE_AGAIN_S = 5.0  # a gate that is still shut so long after it was to open
 _PRESENCE_TIMEOUT_S = 60.0
 
 log = logging.getLogger(__name__)
-Severity = Literal["info", "warning", "error"]
 
 
 class Planner(Protocol):
@@ -102,9 +101,8 @@ class Coordinator:
         self._mission_text = mission_text
         self._bus, self._clock, self._planner = bus, clock, planner
         self._witnesses, self._on_tick = witnesses, on_tick
-        self._orders = Orders(mission.name, bus, clock)
+        self._dispatch = Dispatch(Orders(mission.name, bus, clock), clock, self._say)
         self._roads = Roads(mission)
-        self._lookahead = LookAhead(mission, self._roads, mission.replanning.time_limit_s + _AGREEMENT_S)
         self._experience = Experience()
         self.ledger = CustodyLedger()
         compiled = compile_plan(mission, plan)
@@ -119,7 +117,9 @@ class Coordinator:
         self._start_s = clock.now_s()
         self._quiet_until_s = 0.0
         self._present: set[str] = set()
-        self._released_s: dict[str, float] = {}  # when each gate was last told to open
+        self._tried_s: dict[str, float] = {}  # from when on each gate may be told to open again
+        self._versions = plan.version  # the highest ever proposed: one that was dropped is not given again
+        self._under_way = False
 
     @property
     def mission_time_s(self) -> float:
@@ -138,6 +138,7 @@ class Coordinator:
             return self._ended(False, refusal)
         while (outcome := self._over()) is None:
             await self._clock.sleep(_TICK_S)
+            await self._dispatch.restore(self._in_force(), self._present)
             await self._open_gates()
             trigger = self._trigger()
             if trigger is not None:
@@ -161,27 +162,34 @@ class Coordinator:
     def _on_presence(self, key: str, there: bool) -> None:
         name = key.rsplit("/", 1)[-1]
         (self._present.add if there else self._present.discard)(name)
+        if not there and self._under_way:
+            self._say("warning", f"{name} has left the bus", name if name in self.tracks else None)
 
-    def _on_telemetry(self, _key: str, telemetry: Telemetry) -> None:
-        track = self.tracks[telemetry.robot]
-        track.update(telemetry, self._roads, len(self.ledger.on_board(telemetry.robot)))
-        if track.leg_done is not None:
-            self._learn(telemetry.robot, *track.leg_done)
-            track.leg_done = None
+    def _is_from(self, robot: str, key: str) -> bool:
+        """Whether an agent speaks for its own vehicle; what it says of another is not acted upon."""
+        return robot in self.tracks and key.startswith(vehicle_key(self.mission.name, robot, ""))
 
-    def _learn(self, robot: str, tail: str, head: str, time_ratio: float, energy_ratio: float) -> None:
-        if self._experience.note(tail, head, time_ratio, energy_ratio):
+    def _on_telemetry(self, key: str, telemetry: Telemetry) -> None:
+        robot = telemetry.robot
+        if not self._is_from(robot, key):
+            return
+        leg = self.tracks[robot].update(telemetry, self._roads, len(self.ledger.on_board(robot)))
+        if leg is not None and self._experience.note(leg, whole=True):
             self._say(
                 "warning",
-                f"{tail} to {head} took {time_ratio:.1f} x the time, {energy_ratio:.1f} x the energy foreseen",
+                f"{leg.tail} to {leg.head} took {leg.time_ratio:.1f} x the time, "
+                f"{leg.energy_ratio:.1f} x the energy foreseen",
                 robot,
             )
 
-    def _on_confirmation(self, _key: str, confirmation: Confirmation) -> None:
+    def _on_confirmation(self, key: str, confirmation: Confirmation) -> None:
+        if not self._is_from(confirmation.robot, key):
+            return
         what = f"{confirmation.action} of container {confirmation.tag} at {confirmation.node}"
         if not confirmation.ok:
             self._say("error", f"{what} failed: {confirmation.text}", confirmation.robot)
             return
+        self.tracks[confirmation.robot].confirm(confirmation.uid)
         refusal = self.ledger.confirm(confirmation)
         if refusal is not None:
             self._say("error", f"custody does not add up: {refusal}", confirmation.robot)
@@ -205,27 +213,28 @@ class Coordinator:
         """Load and start every vehicle that has something to do; return why not, on failure."""
         busy = {robot: track.mission for robot, track in self.tracks.items() if track.mission.steps}
         with self._clock.real_time():
-            refusals = await self._orders.give_all({r: Load(mission=m) for r, m in busy.items()})
+            refusals = await self._dispatch.load(busy)
             if refusals:
                 return _in_words("not started, a vehicle does not hold its mission", refusals)
             self._start_s = self._clock.now_s()
             self.ledger.expect(self._samples.values())
-            self._announce("first plan", {r: t.mission for r, t in self.tracks.items()})
-            refusals = await self._orders.give_all({robot: Start() for robot in busy})
-        if refusals:
-            for robot, text in refusals.items():
-                self._say("error", f"does not start: {text}", robot)
+            self._announce("first plan")
+            refusals = await self._dispatch.start(busy)
+        self._under_way = True
         self._quiet_until_s = self._clock.now_s() + _PAUSE_S / 2
         return _in_words("no vehicle starts", refusals) if busy and len(refusals) == len(busy) else None
 
-    def _announce(self, reason: str, missions: dict[str, VehicleMission]) -> None:
+    def _in_force(self) -> dict[str, VehicleMission]:
+        return {robot: track.mission for robot, track in self.tracks.items()}
+
+    def _announce(self, reason: str) -> None:
         self._publish(
             "plan",
             PlanAdopted(
                 time_s=self._clock.now_s(),
                 start_s=self._start_s,
                 plan=self.plan,
-                missions=tuple(missions.values()),
+                missions=tuple(self._in_force().values()),
                 samples=tuple(record.sample for record in self.ledger.records.values()),
                 reason=reason,
             ),
@@ -235,36 +244,30 @@ class Coordinator:
     # Gates ----------------------------------------------------------------------------------------------
 
     async def _open_gates(self) -> None:
+        """Let all pass whose containers lie ready; a gate that is still shut later is tried again."""
         now_s = self._clock.now_s()
-        for robot, track in self.tracks.items():
-            step = track.step
-            if step is None or step.action is not Action.WAIT or not self._may_pass(robot, step.tags):
-                continue
-            if now_s >= self._released_s.get(step.uid, -_RELEASE_AGAIN_S) + _RELEASE_AGAIN_S:
-                self._released_s[step.uid] = now_s
-                reply = await self._orders.give(robot, Release(uid=step.uid))
-                if not reply.ok:
-                    self._say("warning", f"gate at {step.node} does not open: {reply.text}", robot)
+        gates = {
+            robot: step for robot, track in self.tracks.items() if (step := self._open_gate(robot, track))
+        }
+        due = {
+            robot: step for robot, step in gates.items() if now_s >= self._tried_s.get(step.uid, -math.inf)
+        }
+        self._tried_s |= {step.uid: now_s + _RELEASE_AGAIN_S for step in due.values()}
+        refusals = await self._dispatch.release({robot: step.uid for robot, step in due.items()})
+        for robot, step in due.items():
+            if robot in refusals:
+                self._say("warning", f"gate at {step.node} does not open: {refusals[robot]}", robot)
+            else:
+                self.tracks[robot].confirm(step.uid)
 
-    def _may_pass(self, robot: str, tags: tuple[int, ...]) -> bool:
-        """Whether all containers lie ready, their senders have gone, and the clearance is over."""
-        on_board = self.ledger.on_board(robot)
-        for tag in tags:
-            if tag in on_board:
-                continue
-            drop = self.ledger.dropped_at(tag)
-            if drop is None:
-                return False
-            sender = self.tracks[drop.robot]
-            busy_there = (
-                sender.step is not None
-                and sender.step.node == drop.node
-                and sender.step.action not in (Action.DRIVE, Action.WAIT)
-            )
-            gone_s = max(drop.time_s, sender.changed_s if sender.last_node == drop.node else drop.time_s)
-            if busy_there or self._clock.now_s() < gone_s + self.mission.team.clearance_s:
-                return False
-        return True
+    def _open_gate(self, robot: str, track: Track) -> Step | None:
+        """Return the gate at which a vehicle stands and which it may pass."""
+        step = track.step
+        if step is None or step.action is not Action.WAIT or not track.reports(step):
+            return None
+        clearance_s = self.mission.team.clearance_s
+        free = may_pass(robot, step.tags, self.ledger, self.tracks, self._clock.now_s(), clearance_s)
+        return step if free else None
 
     # Replanning -----------------------------------------------------------------------------------------
 
@@ -288,92 +291,78 @@ class Coordinator:
         track = self.tracks[robot]
         if track.telemetry is None or track.finished:
             return None
-        load = len(self.ledger.on_board(robot))
-        now = track.whereabouts(self._roads, load)
+        now, load = self._whereabouts(track), len(self.ledger.on_board(robot))
         return deviation(robot, self.mission_time_s, now, load, self._expected, self._roads)
+
+    def _whereabouts(self, track: Track) -> Whereabouts:
+        step = track.step
+        known = self._experience.of(track.last_node, step.node) if step is not None else (1.0, 1.0)
+        return track.whereabouts(self._roads, len(self.ledger.on_board(track.robot_id)), known)
 
     async def _replan(self, trigger: str) -> None:
         self._say("info", f"replanning: {trigger}")
         with self._clock.real_time():
-            for robot, track in self.tracks.items():
-                self._learn_from_leg_in_progress(robot, track)
-            outlook = self._outlook()
             try:
-                plan = await self._plan_rest(outlook)
+                revision = await self._revise()
             except Exception as fault:  # whatever the planner does, the team needs its coordinator
-                log.exception("the planner failed")
-                self._say("error", f"the planner failed, going on as planned: {fault}")
-                self._quiet_until_s = self._clock.now_s() + _PAUSE_S
-                return
-            if not plan.robots:
-                self._say("warning", f"no new plan, going on as planned: {plan.reason or plan.status}")
-            else:
-                in_force = {robot: track.mission for robot, track in self.tracks.items()}
-                revision = revise(self.mission, plan, outlook, self.ledger, in_force)
+                log.exception("planning failed")
+                self._say("error", f"planning failed, going on as planned: {fault}")
+                revision = None
+            if revision is not None:
                 await self._put_in_force(revision, trigger)
         self._quiet_until_s = self._clock.now_s() + _PAUSE_S
 
-    def _learn_from_leg_in_progress(self, robot: str, track: Track) -> None:
-        step = track.step
-        if step is not None and step.action is Action.DRIVE:
-            now = track.whereabouts(self._roads, len(self.ledger.on_board(robot)))
-            self._experience.note(now.last_node, step.node, now.time_ratio, now.energy_ratio)
-
-    def _outlook(self) -> Outlook:
-        whereabouts = {
-            robot: track.whereabouts(self._roads, len(self.ledger.on_board(robot)))
-            for robot, track in self.tracks.items()
-        }
-        return self._lookahead.outlook(self.mission_time_s, whereabouts, self.ledger)
+    async def _revise(self) -> Revision | None:
+        """Plan the rest of the mission; `None` where there is no plan."""
+        for robot, track in self.tracks.items():
+            leg = track.measured(self._roads, len(self.ledger.on_board(robot)))
+            if leg is not None:
+                self._experience.note(leg, whole=False)
+        horizon_s = self.mission.replanning.time_limit_s + _AGREEMENT_S
+        known = Roads(self._experience.applied_to(self.mission))
+        whereabouts = {robot: self._whereabouts(track) for robot, track in self.tracks.items()}
+        lookahead = LookAhead(self.mission, self._roads, known, horizon_s)
+        outlook = lookahead.outlook(self.mission_time_s, whereabouts, self.ledger)
+        plan = await self._plan_rest(outlook)
+        if not plan.robots:
+            self._say("warning", f"no new plan, going on as planned: {plan.reason or plan.status}")
+            return None
+        return revise(self.mission, plan, outlook, self.ledger, self._in_force())
 
     async def _plan_rest(self, outlook: Outlook) -> Plan:
-        """Plan with an energy reserve; where that is too much to ask by now, without it."""
-        plan = await self._solve(outlook, self.mission.replanning.energy_reserve)
-        if plan.status == "infeasible" and self.mission.replanning.energy_reserve > 0.0:
+        """Plan with an energy reserve; where that is too much to ask by now, without it, in the time left."""
+        options = self.mission.replanning
+        began_s = self._clock.now_s()
+        self._versions += 1
+        plan = await self._solve(outlook, options.energy_reserve, options.time_limit_s)
+        if plan.status == "infeasible" and options.energy_reserve > 0.0:
             self._say("warning", f"the energy reserve cannot be kept: {plan.reason}")
-            plan = await self._solve(outlook, 0.0)
+            left_s = options.time_limit_s - (self._clock.now_s() - began_s)
+            plan = await self._solve(outlook, 0.0, max(1.0, left_s))
         return plan
 
-    async def _solve(self, outlook: Outlook, energy_reserve: float) -> Plan:
-        options = self.mission.planner.model_copy(update={"energy_reserve": energy_reserve})
-        mission = self._experience.applied_to(self.mission.model_copy(update={"planner": options}))
+    async def _solve(self, outlook: Outlook, energy_reserve: float, time_limit_s: float) -> Plan:
+        options = {
+            "planner": self.mission.planner.model_copy(update={"energy_reserve": energy_reserve}),
+            "replanning": self.mission.replanning.model_copy(update={"time_limit_s": time_limit_s}),
+        }
+        mission = self._experience.applied_to(self.mission.model_copy(update=options))
         warm_start = remainder(self.plan, self.tracks, outlook)
         return await asyncio.to_thread(
-            self._planner, mission, state=outlook.state, warm_start=warm_start, version=self.plan.version + 1
+            self._planner, mission, state=outlook.state, warm_start=warm_start, version=self._versions
         )
 
     async def _put_in_force(self, revision: Revision, reason: str) -> None:
         """Bring a revision to all vehicles it concerns, or to none."""
-        if await self._load(revision):
-            self._adopt(revision, reason)
-            names = ", ".join(revision.missions) or "no vehicle"
-            self._say("info", f"plan {revision.plan.version} is in force; it changes {names}")
-        await self._go_on(revision)
-
-    async def _load(self, revision: Revision) -> bool:
-        """Load all vehicles concerned; on any refusal put those loaded back on what they had."""
-        refusals = await self._orders.give_all(
-            {
-                robot: Load(mission=vehicle_mission, diverges_at=revision.outlook.diverges_at[robot])
-                for robot, vehicle_mission in revision.missions.items()
-            }
-        )
-        if not refusals:
-            return True
-        self._say("warning", _in_words(f"plan {revision.plan.version} is dropped", refusals))
-        loaded = [robot for robot in revision.missions if robot not in refusals]
-        back = await self._orders.give_all({r: Load(mission=self.tracks[r].mission) for r in loaded})
-        for robot, text in back.items():
-            self._say("error", f"is held: its mission could not be put back: {text}", robot)
-        return False
-
-    async def _go_on(self, revision: Revision) -> None:
-        """Let the vehicles that were held for loading go on."""
-        refusals = await self._orders.give_all(
-            {robot: Start() for robot in revision.missions if self.tracks[robot].mission.steps}
-        )
-        for robot, text in refusals.items():
-            self._say("error", f"does not go on: {text}", robot)
+        refusals = await self._dispatch.load(revision.missions, revision.outlook.diverges_at)
+        if refusals:
+            self._say("warning", _in_words(f"plan {revision.plan.version} is dropped", refusals))
+            await self._dispatch.put_back(revision.missions, self._in_force(), self._present)
+            return
+        self._adopt(revision, reason)
+        names = ", ".join(revision.missions) or "no vehicle"
+        self._say("info", f"plan {revision.plan.version} is in force; it changes {names}")
+        await self._dispatch.start(revision.missions)
 
     def _adopt(self, revision: Revision, reason: str) -> None:
         expected = expectations(
@@ -392,7 +381,7 @@ class Coordinator:
         self._expected = expected
         self.plan = revision.plan
         self.ledger.expect(revision.samples.values())
-        self._announce(reason, {robot: track.mission for robot, track in self.tracks.items()})
+        self._announce(reason)
 
     # The end --------------------------------------------------------------------------------------------
 
@@ -410,6 +399,7 @@ class Coordinator:
         return None
 
     def _ended(self, complete: bool, reason: str) -> Outcome:
+        self._under_way = False
         self._say("info" if complete else "error", f"mission over: {reason}")
         return Outcome(complete, reason, self._start_s, self._clock.now_s(), self.plan.version)
 

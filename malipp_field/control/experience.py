@@ -6,6 +6,7 @@ same one on its way back.
 
 from __future__ import annotations
 
+from malipp_field.control.tracks import Measured
 from malipp_field.mission import Mission
 from malipp_field.mission.schema import Edge
 
@@ -18,15 +19,24 @@ class Experience:
     def __init__(self) -> None:
         self._ratios: dict[frozenset[str], tuple[float, float]] = {}
 
-    def note(self, tail: str, head: str, time_ratio: float, energy_ratio: float) -> bool:
+    def note(self, measured: Measured, *, whole: bool) -> bool:
         """Take in a measurement relative to the mission file; return whether it is worth noting.
 
-        A later measurement of the same edge replaces an earlier one.
+        That of a whole edge replaces what was known, also when all is well again; that of a part of one is
+        only taken for the whole when it is worse.
         """
-        if tail == head or max(time_ratio, energy_ratio) < _WORTH_NOTING:
-            return False
-        self._ratios[frozenset((tail, head))] = (max(1.0, time_ratio), max(1.0, energy_ratio))
-        return True
+        edge = frozenset((measured.tail, measured.head))
+        ratios = (measured.time_ratio, measured.energy_ratio)
+        worth = len(edge) == 2 and max(ratios) >= _WORTH_NOTING
+        if whole and not worth:
+            self._ratios.pop(edge, None)
+        elif worth and (whole or max(ratios) > max(self._ratios.get(edge, (1.0, 1.0)))):
+            self._ratios[edge] = ratios
+        return worth
+
+    def of(self, tail: str, head: str) -> tuple[float, float]:
+        """Return what an edge takes in time and in energy, over what the mission file says."""
+        return self._ratios.get(frozenset((tail, head)), (1.0, 1.0))
 
     def applied_to(self, mission: Mission) -> Mission:
         """Return the mission with the measured edges as they were found to be, for every robot."""
@@ -42,10 +52,9 @@ class Experience:
         return mission.model_copy(update={"site": mission.site.model_copy(update={"edges": edges})})
 
     def _found(self, edge: Edge, mission: Mission) -> Edge:
-        ratios = self._ratios.get(frozenset((edge.from_, edge.to)))
-        if ratios is None:
+        time_ratio, energy_ratio = self.of(edge.from_, edge.to)
+        if max(time_ratio, energy_ratio) <= 1.0:
             return edge
-        time_ratio, energy_ratio = ratios
         robots = [robot.id for robot in mission.team.robots]
         return edge.model_copy(
             update={

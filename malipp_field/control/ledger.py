@@ -1,7 +1,8 @@
 """The custody ledger: where every container is, whose sensor took it, and through which hands it went.
 
 Custody is conserved: a record changes only by an action that its present state allows. A confirmation that
-does not fit is refused with the reason and changes nothing.
+does not fit is refused with the reason and changes nothing. A sample that was taken although it was no longer
+wanted is there all the same, and has to come home.
 """
 
 from __future__ import annotations
@@ -50,7 +51,7 @@ class CustodyLedger:
                 self._records[tag] = record.model_copy(update={"state": "withdrawn"})
         for tag, sample in promised.items():
             known = self._records.get(tag)
-            if known is None or known.state == "withdrawn":
+            if known is None:
                 self._records[tag] = SampleRecord(sample=sample, state="planned", holder=None)
 
     def confirm(self, confirmation: Confirmation) -> str | None:
@@ -118,7 +119,7 @@ class CustodyLedger:
 def _refusal(record: SampleRecord, confirmation: Confirmation) -> str | None:
     """Return why an action cannot have been done to a container in its present state."""
     needed = {
-        Action.COLLECT: ("planned", None),
+        Action.COLLECT: ("withdrawn" if record.state == "withdrawn" else "planned", None),
         Action.DROP: ("on_board", confirmation.robot),
         Action.PICK: ("cached", confirmation.node),
         Action.UNLOAD: ("on_board", confirmation.robot),

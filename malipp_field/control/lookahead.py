@@ -2,7 +2,7 @@
 
 While the planner thinks and the vehicles agree, the team drives on. Each vehicle's committed part is what it
 will have done or begun by then: the leg or action in progress, and whatever follows within the horizon, up to
-the first gate that is still shut. A new plan begins where the committed parts end.
+the first gate (no gate is opened while a new plan is made). A new plan begins where the committed parts end.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ class Whereabouts:
     y_m: float
     energy_used_j: float
     time_ratio: float = 1.0
-    """Measured over predicted driving time on the leg in progress."""
+    """Driving time on the leg in progress, over what the mission file says."""
     energy_ratio: float = 1.0
-    """Measured over predicted drain on the leg in progress."""
+    """Drain on the leg in progress, over what the mission file says."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +49,9 @@ class Outlook:
         The first step of each mission in force that is not committed.
     on_board, caches
         Tags on board each robot and lying at (node, sender) when the committed parts are over.
+    promised
+        Tags still to be collected after them, by (robot, node): as of the outlook, not of when the plan is
+        there, or a vehicle that went on meanwhile as it was told would seem to need new ones.
     """
 
     state: TeamState
@@ -56,6 +59,7 @@ class Outlook:
     diverges_at: dict[str, str | None]
     on_board: dict[str, tuple[int, ...]]
     caches: dict[tuple[str, str], tuple[int, ...]]
+    promised: dict[tuple[str, str], tuple[int, ...]]
 
 
 class Roads:
@@ -100,11 +104,16 @@ class Roads:
 
 @dataclass
 class _Robot:
-    """One vehicle while its near future is played through."""
+    """One vehicle while its near future is played through.
+
+    `soonest_s` is when it gets there if nothing delays it: what it may have begun by then is committed, or it
+    would have left the committed part when its new mission comes. `time_s` and energy are as expected.
+    """
 
     robot_id: str
     node: str
     time_s: float
+    soonest_s: float
     energy_left_j: float
     on_board: list[int]
     collected: dict[str, int]
@@ -117,17 +126,23 @@ class LookAhead:
 
     Parameters
     ----------
+    roads
+        As the mission file has them.
+    known
+        As they were found to be; the leg in progress is judged by its own ratios instead.
     horizon_s
         How long it takes, at most, until a new plan is in force.
     """
 
-    def __init__(self, mission: Mission, roads: Roads, horizon_s: float) -> None:
-        self._mission, self._roads, self._horizon_s = mission, roads, horizon_s
+    def __init__(self, mission: Mission, roads: Roads, known: Roads, horizon_s: float) -> None:
+        self._mission, self._roads, self._known, self._horizon_s = mission, roads, known, horizon_s
 
     def outlook(self, now_s: float, vehicles: Mapping[str, Whereabouts], ledger: CustodyLedger) -> Outlook:
         """Return the outlook at mission time ``now_s``."""
         self._caches = {place: list(tags) for place, tags in ledger.caches().items()}
-        self._available_s: dict[tuple[str, str], float] = defaultdict(float)
+        clear_s = now_s + self._mission.team.clearance_s  # at the latest, for what lies there now
+        self._available_s = defaultdict(float, dict.fromkeys(self._caches, clear_s))
+        self._in_force_s = now_s + self._horizon_s
         robots = [
             self._play(robot.id, vehicles[robot.id], now_s, ledger) for robot in self._mission.team.robots
         ]
@@ -138,7 +153,7 @@ class LookAhead:
                 RobotState(
                     id=r.robot_id,
                     node=r.node,
-                    ready_s=r.time_s,
+                    ready_s=max(r.time_s, self._in_force_s),
                     energy_left_j=max(0.0, r.energy_left_j),
                     on_board=len(r.on_board),
                     collected=r.collected,
@@ -150,12 +165,18 @@ class LookAhead:
                 for (node, sender), tags in caches.items()
             ),
         )
+        committed_tags = {tag for robot in robots for step in robot.committed for tag in step.tags}
         return Outlook(
             state,
             committed={r.robot_id: tuple(r.committed) for r in robots},
             diverges_at={r.robot_id: r.diverges_at for r in robots},
             on_board={r.robot_id: tuple(r.on_board) for r in robots},
             caches=caches,
+            promised={
+                (r.robot_id, node): tuple(tag for tag in tags if tag not in committed_tags)
+                for r in robots
+                for node, tags in ledger.promised_to(r.robot_id).items()
+            },
         )
 
     def _play(self, robot_id: str, now: Whereabouts, now_s: float, ledger: CustodyLedger) -> _Robot:
@@ -163,13 +184,13 @@ class LookAhead:
             robot_id,
             now.last_node,
             now_s,
+            now_s,
             self._mission.robot(robot_id).energy_budget_j - now.energy_used_j,
             list(ledger.on_board(robot_id)),
             ledger.collected_by(robot_id),
         )
-        remaining = now.mission.steps[now.current :]
-        for position, step in enumerate(remaining):
-            if self._is_free(robot, step, first=position == 0, now_s=now_s):
+        for position, step in enumerate(now.mission.steps[now.current :]):
+            if self._is_free(robot, step):
                 robot.diverges_at = step.uid
                 break
             if step.action is Action.DRIVE:
@@ -179,29 +200,31 @@ class LookAhead:
             robot.committed.append(step)
         return robot
 
-    def _is_free(self, robot: _Robot, step: Step, *, first: bool, now_s: float) -> bool:
+    def _is_free(self, robot: _Robot, step: Step) -> bool:
         """Whether the committed part ends before ``step``."""
-        if step.action is Action.WAIT:
-            lying = {tag for tags in self._caches.values() for tag in tags}
-            if not set(step.tags) <= lying | set(robot.on_board):
-                return True
-        due = not first and robot.time_s >= now_s + self._horizon_s
-        return due and not _same_service(robot.committed[-1], step)
+        if step.action is Action.WAIT or not robot.committed:
+            return step.action is Action.WAIT
+        return robot.soonest_s >= self._in_force_s and not _same_service(robot.committed[-1], step)
 
     def _drive(self, robot: _Robot, step: Step, under_way: Whereabouts | None) -> None:
         at = None if under_way is None else (under_way.x_m, under_way.y_m)
-        time_s, energy_j = self._roads.drive(robot.robot_id, robot.node, step.node, len(robot.on_board), at)
-        robot.time_s += time_s * (under_way.time_ratio if under_way else 1.0)
-        robot.energy_left_j -= energy_j * (under_way.energy_ratio if under_way else 1.0)
+        edge = (robot.robot_id, robot.node, step.node, len(robot.on_board), at)
+        soonest_s, given_j = self._roads.drive(*edge)
+        if under_way is None:
+            time_s, energy_j = self._known.drive(*edge)
+        else:
+            time_s, energy_j = soonest_s * under_way.time_ratio, given_j * under_way.energy_ratio
+        robot.soonest_s += soonest_s
+        robot.time_s += time_s
+        robot.energy_left_j -= energy_j
         robot.node = step.node
 
     def _handle(self, robot: _Robot, step: Step) -> None:
         """Do one payload action; the first at a stop is charged the service time of all of them."""
-        if step.action is Action.WAIT:
-            return
         (tag,) = step.tags
         if not robot.committed or not _same_service(robot.committed[-1], step):
             robot.time_s += self._mission.team.service_time_s
+            robot.soonest_s += self._mission.team.service_time_s
         if step.action is Action.COLLECT:
             robot.on_board.append(tag)
             robot.collected[step.node] = robot.collected.get(step.node, 0) + 1

@@ -31,6 +31,11 @@ def _rest(route: RobotPlan, track: Track, outlook: Outlook) -> RobotPlan:
     index = track.mission.index_of(diverges_at)
     assert index is not None, "the outlook was taken of the mission in force"
     if index < track.committed:  # not yet where the route in force begins
+        begin = route.route[0]
+        if begin.node == state.node:
+            here = begin
+        elif begin.collect or begin.drop or begin.pick or begin.unload:
+            return RobotPlan(id=route.id, route=(here, *route.route))
         return RobotPlan(id=route.id, route=(here, *route.route[1:]))
     first = track.mission.steps[index]
     later = route.route[first.stop :]

@@ -46,15 +46,10 @@ def revise(
     Containers that were promised already keep their tags, so that a vehicle whose part of the plan is what
     it was is not touched.
     """
-    committed_tags = {tag for steps in outlook.committed.values() for step in steps for tag in step.tags}
     custody = Custody(
         on_board=outlook.on_board,
         caches=outlook.caches,
-        promised={
-            (robot.id, node): tuple(tag for tag in tags if tag not in committed_tags)
-            for robot in mission.team.robots
-            for node, tags in ledger.promised_to(robot.id).items()
-        },
+        promised=outlook.promised,
         next_tag=ledger.next_tag,
     )
     compiled = compile_plan(mission, plan, custody)
@@ -69,6 +64,7 @@ def revise(
             missions[robot_id] = VehicleMission(
                 robot=robot_id, version=plan.version, home=part.home, steps=steps
             )
+    committed_tags = {tag for steps in outlook.committed.values() for step in steps for tag in step.tags}
     still_to_collect = {
         tag: record.sample
         for tag, record in ledger.records.items()

@@ -1,7 +1,7 @@
 """The mission file `malipp-mission/1` as frozen records.
 
 Field by field the contract of ``docs/formats.md``: SI units with the unit in the name. Sections beyond it
-(`keep_outs`, `vehicles`, `simulation`, `replanning`) are optional; a mission without them plans all the same.
+(`keep_outs`, `replanning`, `simulation`) are optional; a mission without them plans all the same.
 """
 
 from __future__ import annotations

@@ -23,7 +23,7 @@ from malipp_field.planner.problem import Problem, prune
 from malipp_field.planner.timing import add_timing, horizon_s
 
 _TANGENT_ROUNDS = 30
-_IMPROVEMENTS = 17.0
+_IMPROVEMENTS = 40.0
 """Iterations of ruin and recreate for every ask of HiGHS, in a model of a thousand columns.
 
 They grow with the cube of its size: small models are soon proven, large ones are not proven at all.

@@ -24,9 +24,13 @@ _CONSTRUCTIONS = 20
 _TRIES = 20
 """Ways home tried for each insertion."""
 _MOST_TAKEN_OUT = 8
-_OWN_WAY = 0.35
+_PART_OF_A_ROBOT = 0.6
+"""Chance that a robot whose samples are taken out keeps some."""
+_OWN_WAY = 0.2
 """Chance that a way without a drop is tried."""
-_START_TEMPERATURE, _END_TEMPERATURE = 1e-2, 1e-4
+_HUB = 0.3
+"""Chance that a drop is tried at the one node that a change prefers: several samples move there together."""
+_START_TEMPERATURE, _END_TEMPERATURE = 2e-2, 1e-4
 """As shares of J of the plan begun with."""
 _ENERGY_WEIGHT = 1e-3
 """What the whole of every budget counts as, as a share of J: among equals the cheaper plan is kept."""
@@ -43,6 +47,8 @@ class Improver:
             (r, v) for r, robot in enumerate(problem.robots) for v in robot.places if robot.limits[v] > 0
         ]
         self._places = [set(robot.places) for robot in problem.robots]
+        self._hubs = sorted(set().union(*self._places))
+        self._hub = self._hubs[0]
 
     def improve(self, team: TeamPlan, iterations: int, effort: Effort) -> TeamPlan:
         """Return the best plan found in so many iterations; never a worse one than ``team``."""
@@ -135,6 +141,7 @@ class Improver:
     def _changed(self, current: Draft) -> Draft | None:
         """Return a changed copy; None where a sample that must come home found no way."""
         draft = current.copy()
+        self._hub = self._random.choice(self._hubs)
         homeless = self._ruin(draft)
         draft.tidy()
         if self._random.random() < 0.15:
@@ -154,13 +161,17 @@ class Improver:
             return []
         how = self._random.random()
         count = self._random.randint(1, max(1, min(_MOST_TAKEN_OUT, len(draft.samples))))
-        if how < 0.4:
+        drops = [node for s in draft.samples for node, _ in s.hops]
+        if how < 0.2 and drops:
+            place = self._random.choice(drops)
+            gone = [s for s in draft.samples if place in {node for node, _ in s.hops}]
+        elif how < 0.4:
             gone = self._random.sample(draft.samples, count)
         elif how < 0.7:
             robot = self._random.randrange(len(draft.routes))
             gone = [s for s in draft.samples if robot in {s.robot, *(o for _, o in s.hops)}]
             self._random.shuffle(gone)
-            gone = gone[: 2 * count]
+            gone = gone[: 2 * count] if self._random.random() < _PART_OF_A_ROBOT else gone
         else:
             cost = self.problem.robots[self._random.randrange(len(draft.routes))].closure.rows
             centre = self._random.choice(draft.samples).node
@@ -237,7 +248,9 @@ class Improver:
         return self._cost(draft, sample, routes, before)
 
     def _drop_place(self, route: list[int], place: int) -> int:
-        """Return where to drop: on the spot, at a later stop, or anywhere."""
+        """Return where to drop: at this change's hub, on the spot, at a later stop, or anywhere."""
+        if self._random.random() < _HUB:
+            return self._hub
         how = self._random.random()
         if how < 0.4 or (place + 2 >= len(route) and how < 0.8):
             return route[place]

@@ -18,7 +18,7 @@ from malipp_field.planner.problem import Problem, build_problem
 from malipp_field.planner.sequential import solve_sequential
 from malipp_field.planner.verify import verify
 
-_SEQUENTIAL_SHARE = 0.25
+_SEQUENTIAL_SHARE = 0.1
 """Of the time limit, for the Seq-LIPP plan the exact search begins with."""
 
 

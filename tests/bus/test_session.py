@@ -111,3 +111,111 @@ def test_presence_is_seen_by_those_who_come_later_and_ends_with_the_session() ->
             await eventually(lambda: ("t/alive/b", False) in changes)
 
     asyncio.run(main())
+
+
+def test_what_one_peer_says_is_heard_in_its_order_whatever_the_keys() -> None:
+    async def scenario(a: Bus, b: Bus, c: Bus) -> None:
+        heard: list[str] = []
+        keys = [f"t/{i}" for i in range(4)]
+        for key in keys:
+            await a.subscribe(key, Event, lambda _, m: heard.append(m.text))
+
+        def call() -> None:
+            for key in keys:
+                b.publish(key, event(key))
+
+        await eventually(lambda: set(keys) <= set(heard), call)  # the subscriptions have travelled to b
+        b.publish("t/0", event("begin"))
+        said = [str(number) for number in range(2000)]
+        for number in said:
+            b.publish(keys[int(number) % 4], event(number))
+        await eventually(lambda: len(heard) > len(said) and heard[-1] == said[-1])
+        assert heard[heard.index("begin") + 1 :] == said
+
+    run(scenario)
+
+
+async def answer_of(bus: Bus, key: str, timeout_s: float = WAIT_S) -> Reply | str:
+    """Ask until the one who answers is known there; return the answer, or why there is none."""
+    while True:
+        try:
+            return await bus.request(key, Command(time_s=0.0, order=Start()), timeout_s)
+        except LinkError as fault:
+            if "no answer" not in str(fault):
+                return str(fault)
+            await asyncio.sleep(0.005)
+
+
+def test_a_handler_that_fails_says_so_and_answers_the_next() -> None:
+    async def scenario(a: Bus, b: Bus, c: Bus) -> None:
+        faults = [ValueError("no wheels")]
+
+        async def handler(command: Command) -> Reply:
+            if faults:
+                raise faults.pop()
+            return Reply(time_s=0.0, ok=True)
+
+        await b.serve("t/command", Command, handler)
+        assert await answer_of(a, "t/command") == "t/command: the request failed: no wheels"
+        assert await answer_of(a, "t/command") == Reply(time_s=0.0, ok=True)
+
+    run(scenario)
+
+
+def test_silence_is_told_from_misunderstanding() -> None:
+    async def scenario(a: Bus, b: Bus, c: Bus) -> None:
+        asked = asyncio.Event()
+
+        async def think(command: Command) -> Reply:
+            asked.set()
+            await asyncio.sleep(WAIT_S)
+            raise AssertionError("it was to be cancelled")
+
+        await b.serve("t/command", Command, think)
+        question = asyncio.ensure_future(answer_of(a, "t/command", timeout_s=0.3))
+        await asyncio.wait_for(asked.wait(), WAIT_S)
+        assert "imeout" in str(await question)
+        assert a.rejected == 0
+
+    run(scenario)
+
+
+def test_a_bus_that_closes_leaves_nobody_waiting() -> None:
+    async def main() -> None:
+        hub = free_locator()
+        asked = asyncio.Event()
+        ended = asyncio.Event()
+
+        async def think(command: Command) -> Reply:
+            asked.set()
+            try:
+                await asyncio.sleep(WAIT_S)
+            finally:
+                ended.set()
+            raise AssertionError("it was to be cancelled")
+
+        async with Bus(listen=hub) as b:
+            await b.serve("t/command", Command, think)
+            async with Bus(connect=(hub,)) as a:
+                question = asyncio.ensure_future(answer_of(a, "t/command"))
+                await asyncio.wait_for(asked.wait(), WAIT_S)
+            assert "the bus was closed" in str(await asyncio.wait_for(question, WAIT_S))
+        assert ended.is_set()
+
+    asyncio.run(main())
+
+
+def test_sessions_close_in_the_midst_of_traffic() -> None:
+    async def main() -> None:
+        hub = free_locator()
+        async with Bus(listen=hub) as a:
+            heard: list[str] = []
+            await a.subscribe("t/*", Event, lambda _, m: heard.append(m.text))
+            for _ in range(5):
+                async with Bus(connect=(hub,)) as b:
+                    await b.subscribe("t/*", Event, lambda _, m: heard.append(m.text))
+                    for number in range(200):
+                        b.publish("t/a", event(str(number)))
+                        a.publish("t/b", event(str(number)))
+
+    asyncio.run(asyncio.wait_for(main(), 3 * WAIT_S))

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import json
+import os
 import socket
 from pathlib import Path
 
 import pytest
+from rich.console import Console
 
 from malipp_field.cli.app import main
+from malipp_field.cli.display import plan_table
+from malipp_field.mission import read_mission
 from malipp_field.plan import Plan, read_plan
 
 TINY = """\
@@ -176,6 +180,8 @@ def test_a_mistake_in_the_mission_file(
         (("plan", "{m}", "-o", "p.json", "--gap", "-1"), "--gap"),
         (("plan", "{m}", "-o", "."), "cannot be written"),
         (("plan", "{m}", "-o", "tiny.yaml/x/p.json"), "cannot be made"),
+        (("plan", "{m}", "-o", "{m}"), "tiny.yaml: cannot be written: it is what is to be read"),
+        (("run", "{m}", "-o", "{m}"), "tiny.yaml: is not a folder"),
         (("export", "{m}", "plan.json", "--format", "kml", "-o", "out"), "'kml' is not one of"),
         (("sim", "{m}", "--port", "80"), "--port"),
         (("run", "{m}", "-o", "out", "--speed", "0"), "--speed"),
@@ -183,6 +189,8 @@ def test_a_mistake_in_the_mission_file(
         (("verify", "{m}", "nowhere.json"), "nowhere.json: no such file"),
         (("review", "nowhere.mcap"), "nowhere.mcap"),
         (("review", "tiny.yaml"), "tiny.yaml"),
+        (("review", "."), ".: is a folder; name the recording"),
+        (("verify", "{m}", "{m}"), "format: should be 'malipp-plan/1', found 'malipp-mission/1'"),
         (("fly", "{m}"), "No such command 'fly'"),
         (("plan", "{m}", "extra", "-o", "p.json"), "unexpected extra argument"),
     ],
@@ -253,3 +261,128 @@ def test_a_plan_of_another_mission(mission: Path, plan: Path, capsys: pytest.Cap
     assert Plan.model_validate_json(plan.read_text()).mission == "other"
     assert status("verify", mission, plan) == 2
     assert "other" in capsys.readouterr().err
+
+
+def test_no_command_is_a_call_for_help(capsys: pytest.CaptureFixture[str]) -> None:
+    assert status() == 0
+    assert "Commands:" in capsys.readouterr().out
+
+
+def test_a_pipe_or_device_is_never_replaced_by_a_result(
+    mission: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    assert status("plan", mission, "-o", pipe) == 2
+    assert "not an ordinary file" in one_line(capsys)
+    assert pipe.is_fifo()
+
+
+@pytest.mark.parametrize("name", ["plan.json", "run.mcap", "review.rrd"])
+def test_a_run_that_could_not_write_its_results_does_not_begin(
+    name: str, mission: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "out" / name).mkdir(parents=True)
+    assert status("run", mission, "-o", tmp_path / "out") == 2
+    assert name in one_line(capsys)
+
+
+def without_routes(plan: Plan) -> Plan:
+    return plan.model_copy(
+        update={
+            "status": "no_plan",
+            "reason": "the limit came before a first plan",
+            "objective": None,
+            "bound": plan.bound.model_copy(update={"information": None}),
+            "gap": None,
+            "robots": (),
+        }
+    )
+
+
+def test_a_limit_that_comes_first_is_status_4(
+    mission: Path,
+    plan: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    nothing = without_routes(read_plan(plan))
+    monkeypatch.setattr("malipp_field.planner.solve", lambda *_, **__: nothing)
+    path = tmp_path / "none.json"
+    assert status("plan", mission, "-o", path) == 4
+    assert status("run", mission, "-o", tmp_path / "run") == 4
+    assert status("run", mission, "--plan", path, "-o", tmp_path / "run") == 4
+    assert status("verify", mission, path) == 4
+    said = capsys.readouterr().out
+    assert said.count("no_plan: the limit came before a first plan") == 4
+    assert "every rule is kept" not in said
+
+
+def test_a_tiny_time_limit_still_brings_everybody_home(mission: Path, tmp_path: Path) -> None:
+    path = tmp_path / "plan.json"
+    assert status("plan", mission, "--time-limit", "0.001", "-o", path) == 0
+    assert status("verify", mission, path) == 0
+
+
+def interrupt(*_: object, **__: object) -> None:
+    raise KeyboardInterrupt
+
+
+def test_ctrl_c_is_one_line_and_status_130(
+    mission: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("malipp_field.planner.solve", interrupt)
+    assert status("plan", mission, "-o", tmp_path / "plan.json") == 130
+    assert one_line(capsys) == "interrupted\n"
+    monkeypatch.setattr("malipp_field.sim.Fleet.__aenter__", interrupt)
+    assert status("sim", mission) == 130
+    assert one_line(capsys) == "interrupted\n"
+
+
+def test_an_interrupted_run_leaves_no_review_of_an_earlier_one(
+    mission: Path,
+    plan: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    (tmp_path / "review.rrd").touch()
+    monkeypatch.setattr("malipp_field.cli.whole_run.fly", interrupt)
+    assert status("run", mission, "--plan", plan, "-o", tmp_path) == 130
+    assert one_line(capsys) == "interrupted\n"
+    assert not (tmp_path / "review.rrd").exists()
+
+
+def test_a_run_and_the_review_of_its_recording_whole_and_cut(
+    mission: Path, plan: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    assert status("run", mission, "--plan", plan, "--speed", "60", "-o", out) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "Every sample taken is home." in said
+    made = ["plan.json", "export/tiny-rover.plan", "export/tiny-rover.waypoints", "run.mcap", "review.rrd"]
+    for name in made:
+        assert str(out / name) in said
+        assert (out / name).stat().st_size > 0
+    steps = json.loads((out / "export" / "tiny-steps.json").read_text())
+    assert steps["robots"][0]["file"] == "tiny-rover.plan"
+
+    cut = tmp_path / "cut.mcap"
+    whole = (out / "run.mcap").read_bytes()
+    cut.write_bytes(whole[: 2 * len(whole) // 3])
+    assert status("review", cut) == 0
+    assert "cut off" in capsys.readouterr().out
+    assert (tmp_path / "cut.rrd").stat().st_size > 0
+
+
+def test_the_plan_fits_a_terminal_of_80_columns(
+    mission: Path, plan: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    found = read_plan(plan)
+    table = plan_table(read_mission(mission), found)
+    Console(width=80).print(table)
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == 2 + len(found.robots)
+    headings = " ".join(lines[1].split())
+    assert headings == "robot stops samples drops picks home kJ of budget ends at after s"

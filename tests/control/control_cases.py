@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from malipp_field.bus import Confirmation
+from malipp_field.bus import Confirmation, Telemetry
 from malipp_field.control.ledger import CustodyLedger
-from malipp_field.mission import Mission, parse_mission
+from malipp_field.mission import Mission, parse_mission, to_globe
 from malipp_field.plan import Plan, RobotPlan, Stop
 from malipp_field.vehicle.compile import compile_plan
 from malipp_field.vehicle.steps import Action, VehicleMission
@@ -111,3 +111,22 @@ def confirm(robot: str, action: Action, tag: int, node: str, time_s: float = 1.0
     return Confirmation(
         time_s=time_s, robot=robot, number=1, uid="u", action=action, node=node, tag=tag, ok=True, value=0.5
     )
+
+
+def telemetry(
+    robot: str,
+    uid: str | None,
+    time_s: float,
+    x_m: float,
+    used_j: float,
+    mode: str = "AUTO",
+    version: int = 1,
+) -> Telemetry:
+    origin = relay_mission().site.origin
+    assert origin is not None
+    lat_deg, lon_deg = to_globe(x_m, 0.0, origin)
+    return Telemetry(
+        time_s=time_s, robot=robot, lat_deg=lat_deg, lon_deg=lon_deg, heading_deg=90.0, speed_m_s=1.0,
+        mode=mode, armed=True, ready_to_arm=True, energy_used_j=used_j, mission_version=version, step_uid=uid,
+        finished=uid is None, link_ok=True,
+    )  # fmt: skip

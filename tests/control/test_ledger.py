@@ -79,6 +79,15 @@ def test_a_withdrawn_tag_is_never_given_again() -> None:
     assert ledger.all_home
 
 
+def test_a_sample_taken_though_it_was_withdrawn_has_to_come_home() -> None:
+    ledger = ledger_of(1, 2)
+    ledger.expect([Sample(tag=1, node="far", sampler="scout")])
+    assert ledger.confirm(confirm("carrier", Action.COLLECT, 2, "far")) is not None
+    assert ledger.confirm(confirm("scout", Action.COLLECT, 2, "far")) is None
+    assert ledger.on_board("scout") == (2,)
+    assert not ledger.all_home
+
+
 ROBOTS, NODES = ("scout", "carrier"), ("far", "hub", "base")
 
 

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-import pytest
-from control_cases import MISSION, compiled, confirm, drop_plan, relay_mission, relay_plan
+from dataclasses import replace
 
-from malipp_field.bus import Telemetry
+import pytest
+from control_cases import MISSION, compiled, confirm, drop_plan, relay_mission, relay_plan, telemetry
+
 from malipp_field.control.experience import Experience
 from malipp_field.control.ledger import CustodyLedger
 from malipp_field.control.lookahead import LookAhead, Outlook, Roads, Whereabouts
 from malipp_field.control.remainder import remainder
 from malipp_field.control.revision import revise, same_work
-from malipp_field.control.schedule import deviation, expectations
-from malipp_field.control.tracks import Track
-from malipp_field.mission import Mission, parse_mission, to_globe
-from malipp_field.plan import Plan
+from malipp_field.control.tracks import Measured, Track
+from malipp_field.mission import Mission, parse_mission
+from malipp_field.plan import Plan, RobotPlan
 from malipp_field.vehicle.steps import Action, VehicleMission
 
 
@@ -26,10 +26,16 @@ def at(
 
 
 def look(
-    plan: Plan, horizon_s: float, scout: Whereabouts, carrier: Whereabouts, ledger: CustodyLedger
+    plan: Plan,
+    horizon_s: float,
+    scout: Whereabouts,
+    carrier: Whereabouts,
+    ledger: CustodyLedger,
+    known: Roads | None = None,
 ) -> Outlook:
     mission = relay_mission()
-    lookahead = LookAhead(mission, Roads(mission), horizon_s)
+    roads = Roads(mission)
+    lookahead = LookAhead(mission, roads, known or roads, horizon_s)
     return lookahead.outlook(50.0, {"scout": scout, "carrier": carrier}, ledger)
 
 
@@ -61,24 +67,102 @@ def test_a_longer_horizon_commits_the_stop_ahead_with_its_samples() -> None:
     assert found.on_board["scout"] == (1, 2)
 
 
-def test_a_shut_gate_ends_the_committed_part_and_an_open_one_does_not() -> None:
+def test_a_gate_ends_the_committed_part_whether_its_containers_lie_there_or_not() -> None:
     missions, ledger = compiled(drop_plan())
-    scout = at(missions["scout"], Action.DRIVE, "far", x_m=180.0, last="gate")
     carrier = at(missions["carrier"], Action.WAIT, "far", x_m=200.0, last="far")
-    shut = look(drop_plan(), 0.0, scout, carrier, ledger)
     gate = next(s for s in missions["carrier"].steps if s.action is Action.WAIT)
-    assert shut.committed["carrier"] == ()
-    assert shut.diverges_at["carrier"] == gate.uid
-    assert shut.state.robot("carrier").node == "far"
     (dropped,) = gate.tags
-    for action, tags in ((Action.COLLECT, (1, 2)), (Action.DROP, (dropped,))):
+    scout = at(missions["scout"], Action.DRIVE, "far", x_m=180.0, last="gate")
+    for action, tags in ((None, ()), (Action.COLLECT, (1, 2)), (Action.DROP, (dropped,))):
         for tag in tags:
+            assert action is not None
             assert ledger.confirm(confirm("scout", action, tag, "far")) is None
+        if ledger.on_board("scout"):
+            scout = at(missions["scout"], Action.DRIVE, "gate", x_m=190.0, last="far")
+        found = look(drop_plan(), 12.0, scout, carrier, ledger)
+        assert found.committed["carrier"] == ()
+        assert found.diverges_at["carrier"] == gate.uid
+        assert found.state.robot("carrier").node == "far"
+        assert found.state.robot("carrier").ready_s == 50.0 + 12.0, "no new plan is in force before"
+    (cache,) = found.state.caches
+    assert (cache.count, cache.available_s) == (1, 50.0 + 5.0)
+    assert found.caches == {("far", "scout"): (dropped,)}
+
+
+def test_a_vehicle_that_crawls_may_be_out_of_the_sand_before_the_new_plan_comes() -> None:
+    missions, ledger = compiled(relay_plan())
+    crawling = Whereabouts(missions["scout"], 0, "hub", 145.0, 0.0, 0.0, time_ratio=5.0)
+    carrier = Whereabouts(missions["carrier"], 0, "base", 0.0, 0.0, 0.0)
+    found = look(relay_plan(), 13.0, crawling, carrier, ledger)
+    assert [step.node for step in found.committed["scout"]] == ["gate", "far"]
+    assert found.state.robot("scout").ready_s == pytest.approx(50.0 + 5 * 5.0 + 50.0)
+
+
+def test_later_legs_of_the_committed_part_cost_what_was_found_on_them() -> None:
+    mission = relay_mission()
+    experience = Experience()
+    experience.note(Measured("gate", "far", 2.0, 3.0), whole=True)
+    missions, ledger = compiled(relay_plan())
+    scout = at(missions["scout"], Action.DRIVE, "gate", x_m=140.0)
+    carrier = Whereabouts(missions["carrier"], 0, "base", 0.0, 0.0, 0.0)
+    known = Roads(experience.applied_to(mission))
+    state = look(relay_plan(), 20.0, scout, carrier, ledger, known).state.robot("scout")
+    assert state.node == "far"
+    assert state.ready_s == pytest.approx(50.0 + 10.0 + 2 * 50.0)
+    assert state.energy_left_j == pytest.approx(10000.0 - 10 * 10.0 - 3 * 50 * 10.0)
+
+
+def test_a_container_in_a_cache_is_in_the_new_mission_under_its_own_tag() -> None:
+    mission = relay_mission()
+    missions, ledger = compiled(drop_plan())
+    for action, tag in ((Action.COLLECT, 1), (Action.COLLECT, 2), (Action.DROP, 1)):
+        assert ledger.confirm(confirm("scout", action, tag, "far", time_s=float(tag))) is None
     scout = at(missions["scout"], Action.DRIVE, "gate", x_m=190.0, last="far")
-    opened = look(drop_plan(), 12.0, scout, carrier, ledger)
-    assert [s.action for s in opened.committed["carrier"]][:2] == [Action.WAIT, Action.PICK]
-    assert opened.on_board["carrier"] == (dropped,)
-    assert opened.state.caches == ()
+    carrier = at(missions["carrier"], Action.DRIVE, "hub", x_m=10.0, last="base")
+    outlook = look(drop_plan(), 1.0, scout, carrier, ledger)
+    tracks = {robot: Track(mission, drop_plan().robot(robot), missions[robot]) for robot in missions}
+    rest = remainder(drop_plan(), tracks, outlook)
+    there = rest.robot("carrier").route[1].model_copy(update={"path": ("hub", "gate", "far")})
+    home = rest.robot("carrier").route[2]
+    routes = (
+        rest.robot("scout").model_copy(update={"route": rest.robot("scout").route[:1]}),
+        rest.robot("carrier").model_copy(update={"route": (rest.robot("carrier").route[0], there, home)}),
+    )
+    plan = rest.model_copy(update={"version": 2, "robots": routes})
+    revision = revise(mission, plan, outlook, ledger, missions)
+    assert set(revision.missions) == {"scout"}, "the carrier's part is what it was"
+    assert [(s.action, s.tags) for s in revision.compiled["carrier"].steps if s.tags][:2] == [
+        (Action.WAIT, (1,)),
+        (Action.PICK, (1,)),
+    ]
+    ledger.expect(revision.samples.values())
+    assert [(r.state, r.holder) for r in ledger.records.values()] == [
+        ("cached", "far"),
+        ("on_board", "scout"),
+    ]
+
+
+def test_replan_after_replan_a_tag_is_kept_or_withdrawn_and_never_given_twice() -> None:
+    mission = relay_mission()
+    missions, ledger = compiled(drop_plan())
+    scout = at(missions["scout"], Action.DRIVE, "gate", x_m=110.0)
+    carrier = at(missions["carrier"], Action.DRIVE, "hub", x_m=10.0, last="base")
+    for version, wanted, tags in ((2, 2, {1, 2}), (3, 1, {1}), (4, 2, {1, 3}), (5, 2, {1, 3})):
+        outlook = look(drop_plan(), 1.0, scout, carrier, ledger)
+        tracks = {robot: Track(mission, drop_plan().robot(robot), missions[robot]) for robot in missions}
+        rest = remainder(drop_plan(), tracks, outlook)
+        here, far, home = rest.robot("scout").route
+        far = far.model_copy(
+            update={"path": ("gate", "far"), "collect": wanted, "drop": {}, "payload": wanted}
+        )
+        home = home.model_copy(update={"unload": wanted})
+        stay = rest.robot("carrier").route[0]
+        robots = (RobotPlan(id="scout", route=(here, far, home)), RobotPlan(id="carrier", route=(stay,)))
+        plan = rest.model_copy(update={"version": version, "robots": robots})
+        revision = revise(mission, plan, outlook, ledger, missions)
+        ledger.expect(revision.samples.values())
+        assert {tag for tag, record in ledger.records.items() if record.state == "planned"} == tags
+        assert set(revision.samples) == tags
 
 
 def test_a_committed_drop_is_a_cache_from_its_end_and_the_clearance_on() -> None:
@@ -100,17 +184,6 @@ def track_of(mission: Mission, robot: str, vehicle_mission: VehicleMission, uid:
     return track
 
 
-def telemetry(robot: str, uid: str | None, time_s: float, x_m: float, used_j: float) -> Telemetry:
-    origin = relay_mission().site.origin
-    assert origin is not None
-    lat_deg, lon_deg = to_globe(x_m, 0.0, origin)
-    return Telemetry(
-        time_s=time_s, robot=robot, lat_deg=lat_deg, lon_deg=lon_deg, heading_deg=90.0, speed_m_s=1.0,
-        mode="AUTO", armed=True, ready_to_arm=True, energy_used_j=used_j, mission_version=1, step_uid=uid,
-        finished=uid is None, link_ok=True,
-    )  # fmt: skip
-
-
 def test_the_remainder_begins_where_the_free_part_does() -> None:
     mission = relay_mission()
     missions, ledger = compiled(drop_plan())
@@ -127,6 +200,31 @@ def test_the_remainder_begins_where_the_free_part_does() -> None:
     assert rest.robot("scout").route[1].drop == {"carrier": 1}
 
 
+def test_the_remainder_of_a_plan_not_yet_begun_keeps_what_is_to_be_done_where_it_begins() -> None:
+    mission = relay_mission()
+    missions, ledger = compiled(drop_plan())
+    outlook = look(
+        drop_plan(),
+        1.0,
+        at(missions["scout"], Action.DRIVE, "gate", x_m=120.0),
+        at(missions["carrier"], Action.DRIVE, "hub", x_m=10.0, last="base"),
+        ledger,
+    )
+    for node, nodes in (("far", ["gate", "far", "base"]), ("gate", ["gate", "base"])):
+        route = drop_plan().robot("scout").route
+        begin = route[1].model_copy(update={"node": node})
+        track = Track(mission, RobotPlan(id="scout", route=(begin, route[2])), missions["scout"])
+        track.committed = 4
+        tracks = {
+            "scout": track,
+            "carrier": Track(mission, drop_plan().robot("carrier"), missions["carrier"]),
+        }
+        rest = remainder(drop_plan(), tracks, outlook).robot("scout").route
+        assert [stop.node for stop in rest] == nodes
+        assert rest[-2].collect == 2
+        assert rest[-2].drop == {"carrier": 1}
+
+
 def test_a_stop_half_done_leaves_its_other_half() -> None:
     mission = relay_mission()
     missions, ledger = compiled(relay_plan())
@@ -134,36 +232,31 @@ def test_a_stop_half_done_leaves_its_other_half() -> None:
     steps = missions["scout"].steps
     second = next(i for i, s in enumerate(steps) if s.action is Action.COLLECT and s.tags == (2,))
     whereabouts = Whereabouts(missions["scout"], second, "far", 200.0, 0.0, 0.0)
-    outlook = Outlook(
-        look(
-            relay_plan(), 0.0, whereabouts, Whereabouts(missions["carrier"], 0, "base", 0.0, 0.0, 0.0), ledger
-        ).state,
+    carrier = Whereabouts(missions["carrier"], 0, "base", 0.0, 0.0, 0.0)
+    outlook = replace(
+        look(relay_plan(), 0.0, whereabouts, carrier, ledger),
         committed={"scout": (), "carrier": ()},
         diverges_at={"scout": steps[second].uid, "carrier": None},
-        on_board={},
-        caches={},
     )
     tracks = {r: Track(mission, relay_plan().robot(r), m) for r, m in missions.items()}
     here, home = remainder(relay_plan(), tracks, outlook).robot("scout").route
     assert (here.node, here.collect, home.node) == ("far", 1, "base")
 
 
-def test_an_unchanged_plan_concerns_no_vehicle_and_keeps_the_tags() -> None:
+@pytest.mark.parametrize("meanwhile", [(), (1,), (1, 2)])
+def test_an_unchanged_plan_concerns_no_vehicle_and_keeps_the_tags(meanwhile: tuple[int, ...]) -> None:
+    """Also of samples that are taken while the planner thinks."""
     mission = relay_mission()
     missions, ledger = compiled(drop_plan())
-    outlook = Outlook(
-        look(
-            drop_plan(),
-            0.0,
-            Whereabouts(missions["scout"], 0, "hub", 100.0, 0.0, 0.0),
-            Whereabouts(missions["carrier"], 0, "base", 0.0, 0.0, 0.0),
-            ledger,
-        ).state,
+    start = Whereabouts(missions["scout"], 0, "hub", 100.0, 0.0, 0.0)
+    carrier = Whereabouts(missions["carrier"], 0, "base", 0.0, 0.0, 0.0)
+    outlook = replace(
+        look(drop_plan(), 0.0, start, carrier, ledger),
         committed={"scout": (), "carrier": ()},
         diverges_at={r: m.steps[0].uid for r, m in missions.items()},
-        on_board={},
-        caches={},
     )
+    for tag in meanwhile:
+        assert ledger.confirm(confirm("scout", Action.COLLECT, tag, "far")) is None
     again = drop_plan().model_copy(update={"version": 2})
     revision = revise(mission, again, outlook, ledger, missions)
     assert revision.missions == {}
@@ -178,53 +271,11 @@ def test_another_order_of_stops_is_other_work() -> None:
     assert not same_work(steps, steps[:-1])
 
 
-def test_deviation_is_foreseen_on_the_way_from_pace_and_drain() -> None:
-    mission = relay_mission()
-    roads = Roads(mission)
-    missions, _ = compiled(relay_plan())
-    expected = expectations(relay_plan(), missions, {"scout": 10000.0, "carrier": 50000.0}, mission)
-    first, second = missions["scout"].steps[:2]
-    track = Track(mission, relay_plan().robot("scout"), missions["scout"])
-    track.update(telemetry("scout", first.uid, 10.0, 100.0, 0.0), roads, 0)
-    on_time = deviation("scout", 10.0, track.whereabouts(roads, 0), 0, expected, roads)
-    assert on_time is not None
-    assert on_time.late_s == pytest.approx(0.0, abs=0.1)
-    assert on_time.overdraw_j == pytest.approx(0.0, abs=1.0)
-    # Ten metres in 40 s for 300 J, not in 10 s for 100 J: a quarter of the pace, thrice the drain.
-    track.update(telemetry("scout", first.uid, 50.0, 110.0, 300.0), roads, 0)
-    late = deviation("scout", 50.0, track.whereabouts(roads, 0), 0, expected, roads)
-    assert late is not None
-    assert late.node == "far"
-    assert late.late_s == pytest.approx(50.0 + 40 * 4 + 50 - 110.0, abs=2.0)
-    assert late.overdraw_j == pytest.approx(300.0 + 40 * 10 * 3 + 500 - 1000.0, abs=15.0)
-    # A new leg is judged by itself.
-    track.update(telemetry("scout", first.uid, 209.0, 149.9, 1497.0), roads, 0)
-    track.update(telemetry("scout", second.uid, 210.0, 150.0, 1500.0), roads, 0)
-    assert track.whereabouts(roads, 0).time_ratio == 1.0
-    assert track.leg_done is not None
-    assert track.leg_done[:2] == ("hub", "gate")
-    assert track.leg_done[2:] == pytest.approx((4.0, 3.0), rel=0.02)
-
-
-def test_what_was_measured_on_an_edge_counts_in_the_next_plan_for_everybody() -> None:
-    mission = relay_mission()
-    experience = Experience()
-    assert experience.applied_to(mission) is mission
-    assert not experience.note("hub", "gate", 1.05, 1.0)
-    assert experience.note("gate", "hub", 4.0, 3.0)
-    found = experience.applied_to(mission)
-    for robot in ("scout", "carrier"):
-        before, after = Roads(mission), Roads(found)
-        time_s, energy_j = before.drive(robot, "hub", "gate", 1)
-        assert after.drive(robot, "hub", "gate", 1) == pytest.approx((4.0 * time_s, 3.0 * energy_j))
-        assert after.drive(robot, "base", "hub", 1) == before.drive(robot, "base", "hub", 1)
-
-
 def test_a_measured_straight_line_of_a_complete_site_becomes_an_edge() -> None:
     text = MISSION.replace("  edges:", "  complete: true\n  edges:", 1)
     mission = parse_mission(text)
     experience = Experience()
-    experience.note("base", "far", 2.0, 1.5)
+    experience.note(Measured("base", "far", 2.0, 1.5), whole=True)
     time_s, energy_j = Roads(mission).drive("scout", "far", "base", 0)
     found = Roads(experience.applied_to(mission)).drive("scout", "far", "base", 0)
     assert found == pytest.approx((2.0 * time_s, 1.5 * energy_j))

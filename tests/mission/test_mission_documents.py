@@ -92,6 +92,7 @@ def test_json_reads_as_json(data: object) -> None:
         ("a: [1, 2\nb: 3\n", 2, "expected ',' or ']'"),
         ("a: 1\n\tb: 2\n", 2, "cannot start any token"),
         ("a: *nowhere\n", 1, "undefined alias"),
+        ("a: 1\n---\nb: 2\n", 2, "a second document begins here; a file holds one"),
     ],
 )
 def test_what_is_not_well_formed(text: str, line: int, words: str) -> None:
@@ -120,8 +121,9 @@ def test_files_that_cannot_be_read(tmp_path: Path) -> None:
         ("name: 5\n", "m:1: name: expected text, found 5; write it in quotes"),
         (
             "name: 2026-11-22\n",
-            "m:1: name: expected text, found datetime.date(2026, 11, 22); write it in quotes",
+            "m:1: name: expected text, found 2026-11-22; write it in quotes",
         ),
+        ("name: !colour red\n", "m:1: name: expected text, found a value with the tag !colour"),
         ("name: x\ncount: 1.5\n", "m:2: count: expected a whole number, found 1.5"),
         ("name: x\nflag: no\n", "m:2: flag: expected true or false, found 'no'"),
         ("name: x\nrows: 3\n", "m:2: rows: expected a list, found 3"),

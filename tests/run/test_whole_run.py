@@ -66,7 +66,9 @@ def test_every_plan_in_force_is_in_the_recording_and_names_its_reason(
     flight: tuple[Mission, Plan, Outcome, Run],
 ) -> None:
     mission, plan, outcome, run = flight
-    assert [adopted.plan.version for adopted in run.plans] == list(range(1, outcome.versions + 1))
+    versions = [adopted.plan.version for adopted in run.plans]
+    assert versions == sorted(set(versions)), "a version that was dropped is not given again"
+    assert (versions[0], versions[-1]) == (1, outcome.versions)
     assert run.plans[0].plan == plan
     check(mission, run.plans[0].plan)
     assert "late" in run.plans[1].reason or "budget" in run.plans[1].reason
