@@ -194,7 +194,8 @@ def _in_words(details: ErrorDetails, model: type[BaseModel], location: Location)
         )
         return f"expected {_EXPECTED[kind]}, found {_shown(value)}{hint}"
     if kind == "too_short":
-        return f"at least {details['ctx']['min_length']} needed, found {details['ctx']['actual_length']}"
+        least, found = details["ctx"]["min_length"], details["ctx"]["actual_length"]
+        return f"at least {least} item{'s' * (least > 1)} needed, found {found}"
     message = details["msg"].removeprefix("Value error, ").removeprefix("Input ")
     return message if kind == "value_error" else f"{message}, found {_shown(value)}"
 

@@ -388,15 +388,23 @@ class Coordinator:
     def _over(self) -> Outcome | None:
         if all(track.finished for track in self.tracks.values()):
             if self.ledger.all_home:
-                return self._ended(True, "every sample taken is home")
+                home = sum(r.state == "delivered" for r in self.ledger.records.values())
+                return self._ended(True, "every sample taken is home" if home else "no sample was taken")
             away = sum(r.state in ("on_board", "cached") for r in self.ledger.records.values())
             return self._ended(False, f"all vehicles are done, but {away} samples are not home")
         stall_s = self.mission.replanning.stall_s
         progress_s = max(self._start_s, *(track.progress_s for track in self.tracks.values()))
         if self._clock.now_s() - progress_s > stall_s:
-            stuck = ", ".join(robot for robot, track in self.tracks.items() if not track.finished)
+            stuck = ", ".join(self._stuck(robot) for robot, t in self.tracks.items() if not t.finished)
             return self._ended(False, f"no progress for {stall_s:.0f} s: {stuck}")
         return None
+
+    def _stuck(self, robot: str) -> str:
+        """Return a vehicle that gets no further, with the reason where it is plain."""
+        telemetry, budget_j = self.tracks[robot].telemetry, self.mission.robot(robot).energy_budget_j
+        if telemetry is None or not telemetry.link_ok:
+            return f"{robot} (not heard any more)"
+        return f"{robot} (battery empty)" if telemetry.energy_used_j >= 0.999 * budget_j else robot
 
     def _ended(self, complete: bool, reason: str) -> Outcome:
         self._under_way = False

@@ -23,10 +23,10 @@ from malipp_field.planner.problem import Problem, prune
 from malipp_field.planner.timing import add_timing, horizon_s
 
 _TANGENT_ROUNDS = 30
-_IMPROVEMENTS = 40.0
+_IMPROVEMENTS = 28.0
 """Iterations of ruin and recreate for every ask of HiGHS, in a model of a thousand columns.
 
-They grow with the cube of its size: small models are soon proven, large ones are not proven at all.
+They grow with the fourth power of its size: small models are soon proven, large ones are not proven at all.
 """
 _LEAST_IMPROVEMENTS = 20
 _FIRST_ASKS = 20
@@ -168,7 +168,7 @@ class InformationStage:
         if self.best is None:
             return None
         before = self.best
-        iterations = int(_IMPROVEMENTS * asks / 2 * (len(self.model.linear.cost) / 1000) ** 3)
+        iterations = int(_IMPROVEMENTS * asks / 2 * (len(self.model.linear.cost) / 1000) ** 4)
         self.best = self._improver.improve(before, max(iterations, _LEAST_IMPROVEMENTS), self.search.effort)
         self._tell("ruin and recreate")
         return None if self.best is before else start_point(self.model, self.best)

@@ -15,6 +15,8 @@ from malipp_field.vehicle.steps import Action
 
 _WIDTH = 100
 """Of what is written to a file or a pipe; a terminal has its own."""
+_LARGE_J = 10_000.0
+"""Budgets from this on are told in kilojoules."""
 _NOTHING = "-"
 
 
@@ -53,27 +55,29 @@ def _outcome(summary: Summary) -> Table:
 def _robots(summary: Summary) -> Table:
     table = _table("Robots", "planned: the first plan; expected: the last plan, from what was measured then")
     table.add_column("robot")
+    large = any(robot.energy_budget_j >= _LARGE_J for robot in summary.robots)
+    unit, unit_j = ("kJ", 1000.0) if large else ("J", 1.0)
     for name in (
-        "used J",
-        "planned J",
-        "expected J",
-        "budget J",
+        f"{unit} used",
+        "planned",
+        "expected",
+        "budget",
         "time",
         "planned",
-        "driven m",
+        "metres",
         "taken",
         "home",
     ):
         table.add_column(name, justify="right")
     for robot in summary.robots:
-        table.add_row(escape(robot.robot), *_robot_row(robot))
+        table.add_row(escape(robot.robot), *_robot_row(robot, unit_j))
     return table
 
 
-def _robot_row(robot: RobotSummary) -> list[str]:
+def _robot_row(robot: RobotSummary, unit_j: float) -> list[str]:
     energies = (robot.energy_used_j, robot.energy_planned_j, robot.energy_expected_j, robot.energy_budget_j)
     return [
-        *(_number(energy, ",.0f") for energy in energies),
+        *(_number(None if energy is None else energy / unit_j, ",.1f") for energy in energies),
         _clock(robot.time_taken_s),
         _clock(robot.time_planned_s),
         f"{robot.distance_m:,.0f}",
@@ -143,6 +147,7 @@ def _table(title: str, caption: str | None = None) -> Table:
         caption_justify="left",
         box=box.SIMPLE_HEAD,
         pad_edge=False,
+        collapse_padding=True,
         show_edge=False,
     )
 

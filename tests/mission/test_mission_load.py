@@ -151,7 +151,13 @@ def test_the_valid_mission_and_its_defaults() -> None:
             "site.edges[2]",
             "a1 to a2 crosses keep-out 'pond'; lead it round",
         ),
-        (", {x_m: 45.0, y_m: 10.0}]", "]", 19, "site.keep_outs[0].polygon", "at least 3 needed, found 2"),
+        (
+            ", {x_m: 45.0, y_m: 10.0}]",
+            "]",
+            19,
+            "site.keep_outs[0].polygon",
+            "at least 3 items needed, found 2",
+        ),
         (
             "{x_m: 45.0, y_m: 10.0}]",
             "{x_m: 40.0, y_m: 10.0}, {x_m: 50.0, y_m: 10.0}]",
@@ -161,7 +167,13 @@ def test_the_valid_mission_and_its_defaults() -> None:
         ),
         ("family: rbf", "family: cubic", 21, "field.kernel.family", "'rbf', 'matern32' or 'matern52'"),
         ("length_scale_m: 20.0", "length_scale_m: 0.0", 21, "field.kernel.length_scale_m", "greater than 0"),
-        ("    - {x_m: 10.0, y_m: 10.0}", "    []", 22, "field.test_points", "at least 1 needed, found 0"),
+        (
+            "    - {x_m: 10.0, y_m: 10.0}",
+            "    []",
+            22,
+            "field.test_points",
+            "at least 1 item needed, found 0",
+        ),
         (
             "sample_mass_kg: 2.0",
             "sample_mass_kg: .nan",
@@ -188,7 +200,7 @@ def test_the_valid_mission_and_its_defaults() -> None:
             "depots: [], empty_mass_kg: 20",
             27,
             "team.robots[0].depots",
-            "at least 1 needed, found 0",
+            "at least 1 item needed, found 0",
         ),
         (
             "depots: [base], empty_mass_kg: 20",

@@ -15,6 +15,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from sim_cases import START_S, action, item_int, numbered, site, waypoint
 
 from malipp_field.clock import SimClock
+from malipp_field.errors import LinkError
 from malipp_field.sim import Fleet, World
 from malipp_field.sim.fleet import parse
 from malipp_field.vehicle.steps import Action
@@ -170,7 +171,7 @@ def test_a_taken_port_is_an_error_that_leaves_nothing_open() -> None:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
             taken.bind(("127.0.0.1", 0))
             fleet = Fleet(site(), SimClock(START_S), first_port=taken.getsockname()[1])
-            with pytest.raises(OSError, match="in use"):
+            with pytest.raises(LinkError, match="in use; choose another"):
                 await fleet.__aenter__()
             assert fleet.endpoints == {}
 
