@@ -11,6 +11,7 @@ import argparse
 import datetime
 import os
 import platform
+import sys
 from importlib.metadata import version
 from pathlib import Path
 
@@ -47,9 +48,14 @@ def results_page(time_limit_s: float) -> str:
     ]
     for name in MISSIONS:
         mission = read_mission(ROOT.parent / "missions" / f"{name}.yaml")
-        plans = {method: solve(mission, method=method, time_limit_s=time_limit_s) for method in METHODS}
+        plans = {method: _solved(mission, method, time_limit_s) for method in METHODS}
         rows += [_row(mission, method, plan, plans["seq"]) for method, plan in plans.items()]
     return "\n".join((_heading(time_limit_s), *rows, "", _footnote()))
+
+
+def _solved(mission: Mission, method: Method, time_limit_s: float) -> Plan:
+    print(f"{mission.name}: {method}, at most {time_limit_s:.0f} s ...", file=sys.stderr)
+    return solve(mission, method=method, time_limit_s=time_limit_s)
 
 
 def _row(mission: Mission, method: str, plan: Plan, baseline: Plan) -> str:

@@ -111,7 +111,7 @@ class Driver:
     async def stand_at(self, seq: int) -> None:
         """Make item ``seq`` current while the vehicle stands, so that it never moves on a stale index.
 
-        In HOLD that is only allowed once AUTO has been entered (field-facts); else AUTO is entered first,
+        In HOLD that is only allowed once AUTO has been entered; else AUTO is entered first,
         disarmed.
         """
         if not self.vehicle.armed:

@@ -35,7 +35,7 @@ class Vehicle:
     heading_deg, speed_m_s : float
         Clockwise from north; over ground.
     ready_to_arm : bool
-        The position estimate is good; SYS_STATUS says so too early (field-facts).
+        The position estimate is good; SYS_STATUS says so too early (measured on ArduPilot Rover 4.7).
     energy_used_j : float
         What the payload script measures, else what the battery monitor does.
     current_seq : int or None

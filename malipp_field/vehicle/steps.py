@@ -125,7 +125,7 @@ def _item(step: Step, seq: int) -> MissionItem:
             degrees_e7(step.place.lat_deg), degrees_e7(step.place.lon_deg), 0.0,
         )  # fmt: skip
     # Timeout 0: ArduPilot then waits for the script's word for ever. A vehicle that stands still is found
-    # again; one that drives on without its sample is not noticed (field-facts: "reached" is no proof).
+    # again; one that drives on without its sample is not noticed ("reached" is no proof).
     return MissionItem(
         seq, MAV_FRAME_MISSION, MAV_CMD_NAV_SCRIPT_TIME, 0, 1,
         float(ACTION_CODES[step.action]), 0.0, float(step.stop), float(len(step.tags)),
