@@ -22,8 +22,7 @@ def to_local(lat_deg: float, lon_deg: float, origin: Origin) -> tuple[float, flo
 def to_globe(x_m: float, y_m: float, origin: Origin) -> tuple[float, float]:
     """Return (latitude, longitude) in degrees of a place in the local horizontal plane."""
     lat_deg, lon_deg, _ = pymap3d.enu2geodetic(x_m, y_m, 0.0, origin.lat_deg, origin.lon_deg, origin.alt_m)
-    # 1e-9 degree is a tenth of a millimetre; more digits would only be noise in files.
-    return round(float(lat_deg), 9), round(float(lon_deg), 9)
+    return float(lat_deg), float(lon_deg)
 
 
 def locate(place: Place, origin: Origin | None) -> tuple[float, float]:

@@ -44,7 +44,8 @@ def qgc_plan_text(mission: Mission, origin: Origin, vehicle: VehicleMission) -> 
             "hoverSpeed": speed_m_s,
             "globalPlanAltitudeMode": ALTITUDE_MODE_RELATIVE,
             "plannedHomePosition": [
-                vehicle.home.lat_deg, vehicle.home.lon_deg, origin.alt_m + vehicle.home.alt_m
+                *_rounded(vehicle.home.lat_deg, vehicle.home.lon_deg),
+                origin.alt_m + vehicle.home.alt_m,
             ],
             "items": [_simple_item(item) for item in vehicle.items()[1:]],
         },
@@ -76,7 +77,7 @@ def _exclusions(mission: Mission, origin: Origin) -> list[Json]:
         {
             "version": 1,
             "inclusion": False,
-            "polygon": [list(to_globe(x_m, y_m, origin)) for x_m, y_m in polygon.exterior.coords[:-1]],
+            "polygon": [_rounded(*to_globe(x_m, y_m, origin)) for x_m, y_m in polygon.exterior.coords[:-1]],
         }
         for polygon in keep_out_polygons(mission).values()
     ]
@@ -85,4 +86,9 @@ def _exclusions(mission: Mission, origin: Origin) -> list[Json]:
 def _rally_points(mission: Mission, origin: Origin, robot: str) -> list[list[float]]:
     """Return the depots where the robot may unload: degrees, and metres above home."""
     places = node_positions(mission)
-    return [[*to_globe(*places[depot], origin), 0.0] for depot in mission.robot(robot).depots]
+    return [[*_rounded(*to_globe(*places[depot], origin)), 0.0] for depot in mission.robot(robot).depots]
+
+
+def _rounded(lat_deg: float, lon_deg: float) -> list[float]:
+    """Return degrees to a tenth of a millimetre; more digits would be noise."""
+    return [round(lat_deg, 9), round(lon_deg, 9)]
