@@ -159,9 +159,11 @@ class Load(BaseModel):
 
 
 class Start(BaseModel):
-    """Arm and enter AUTO with the verified mission."""
+    """Arm and enter AUTO with the verified mission, or go on with it; refused where it is another version."""
 
     do: Literal["start"] = "start"
+    version: int | None = None
+    """The mission that is meant; null for whichever is on board."""
 
 
 class Release(BaseModel):

@@ -93,12 +93,10 @@ def plan_table(mission: Mission, plan: Plan) -> Table:
     """Return a plan as a table, a robot a row."""
     title = f"{mission.name}: {plan.method}, {plan.status}"
     table = Table(title=title, title_justify="left", box=None, pad_edge=False)
-    for column, justify in (
-        ("robot", "left"), ("stops", "right"), ("samples", "right"), ("drops", "right"), ("picks", "right"),
-        ("home", "right"), ("kJ", "right"), ("of budget", "right"), ("ends at", "left"),
-        ("after s", "right"),
-    ):  # fmt: skip
-        table.add_column(column, justify=justify)  # type: ignore[arg-type]
+    words = {"robot", "ends at"}
+    columns = ("robot", "stops", "samples", "drops", "picks", "home", "kJ", "of budget", "ends at", "after s")
+    for column in columns:
+        table.add_column(column, justify="left" if column in words else "right")
     for route in plan.robots:
         budget_j = mission.robot(route.id).energy_budget_j
         stops = route.route

@@ -47,13 +47,14 @@ class Dispatch:
             }
         )
 
-    async def start(self, robots: Iterable[str]) -> dict[str, str]:
-        """Let vehicles go that hold the mission in force; return the refusals."""
-        going = set(robots)
-        refusals = await self._orders.give_all({robot: Start() for robot in sorted(going)})
+    async def start(self, missions: Mapping[str, VehicleMission]) -> dict[str, str]:
+        """Let vehicles go that hold these missions, the ones in force; return the refusals."""
+        refusals = await self._orders.give_all(
+            {robot: Start(version=mission.version) for robot, mission in missions.items()}
+        )
         for robot, text in refusals.items():
             self._say("error", f"does not go: {text}", robot)
-        self._astray -= going
+        self._astray -= missions.keys()
         self._set_astray(refusals)
         return refusals
 
@@ -82,7 +83,7 @@ class Dispatch:
             refusals = await self.load({robot: in_force[robot] for robot in robots})
             for robot, text in refusals.items():
                 self._say("error", f"is held: its mission could not be put back: {text}", robot)
-            await self.start(robot for robot in robots if robot not in refusals)
+            await self.start({r: in_force[r] for r in robots if r not in refusals})
             self._set_astray(refusals)
 
     def _set_astray(self, robots: Iterable[str]) -> None:

@@ -44,7 +44,7 @@ class Orders:
         if isinstance(order, Load):
             return await self._load(order)
         if isinstance(order, Start):
-            return await self._start()
+            return await self._start(order.version)
         if isinstance(order, Release):
             return await self._release(order.uid)
         await self._driver.enter("HOLD")
@@ -93,10 +93,12 @@ class Orders:
             uids = ", ".join(step.uid for step in self._progress.unconfirmed())
             raise LinkError(f"the vehicle went past {uids} without a confirmation")
 
-    async def _start(self) -> str:
+    async def _start(self, version: int | None) -> str:
         mission, vehicle = self._progress.mission, self._driver.vehicle
         if mission is None:
             raise LinkError("there is no verified mission on board")
+        if version not in (None, mission.version):
+            raise LinkError(f"version {mission.version} is on board, not version {version}")
         if self._progress.in_force and vehicle.armed and vehicle.mode == "AUTO":
             return "under way already"
         if self._progress.under_way:

@@ -79,6 +79,8 @@ class FakeAgent:
                 return Reply(time_s=now_s, ok=False, text="no position estimate")
             if self.loaded is None:
                 return Reply(time_s=now_s, ok=False, text="there is no verified mission on board")
+            if order.version != self.loaded.version:
+                return Reply(time_s=now_s, ok=False, text="another version is on board")
             self.driving = True
         elif isinstance(order, Release):
             self.passed.add(order.uid)

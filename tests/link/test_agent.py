@@ -103,6 +103,17 @@ def test_a_mission_of_nothing_is_finished_at_once() -> None:
     Yard().run(scene)
 
 
+def test_another_version_than_the_one_meant_is_not_started() -> None:
+    async def scene(yard: Yard) -> None:
+        assert (await yard.order(Load(mission=yard.mission(*ROUND)))).ok
+        reply = await yard.order(Start(version=2))
+        assert (reply.ok, reply.text) == (False, "version 1 is on board, not version 2")
+        assert not yard.rover.autopilot.armed
+        assert (await yard.order(Start(version=1))).ok
+
+    Yard().run(scene)
+
+
 def test_start_waits_for_the_position_estimate() -> None:
     async def scene(yard: Yard) -> None:
         await yard.order(Load(mission=yard.mission(*ROUND)))
