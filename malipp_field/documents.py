@@ -1,12 +1,14 @@
-"""Read YAML and JSON documents, validate them, and say on which line a fault stands.
+"""Read YAML and JSON documents, validate them, say on which line a fault stands, and write files whole.
 
 JSON is read by the same YAML 1.2 reader, so both kinds of file get line numbers from one place.
 """
 
 from __future__ import annotations
 
+import contextlib
 import datetime
 import difflib
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
@@ -120,6 +122,33 @@ def parse_document(text: str, source: str) -> Document:
         raise InputError(source, None, "", str(fault).splitlines()[0]) from None
     lines: dict[Location, int] = {}
     return Document(source, _plain(raw, (), lines), lines)
+
+
+@contextlib.contextmanager
+def whole_file(path: Path) -> Iterator[Path]:
+    """Give a temporary path to write to; it takes the place of ``path`` when the context ends well.
+
+    A reader never sees half a file, a fault leaves what was there before and nothing beside it, and a device
+    or pipe is never replaced by a file.
+
+    Raises
+    ------
+    InputError
+        When the file cannot be written.
+    """
+    partial = path.with_name(path.name + ".partial")
+    if path.exists() and not path.is_file():
+        raise InputError(str(path), None, "", "cannot be written: it is not an ordinary file")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        partial.touch()
+        yield partial
+        partial.replace(path)
+    except OSError as fault:
+        raise InputError(str(path), None, "", f"cannot be written: {fault.strerror}") from None
+    finally:
+        with contextlib.suppress(OSError):
+            partial.unlink(missing_ok=True)
 
 
 def dotted(location: Location) -> str:

@@ -5,8 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from malipp_field.documents import parse_document, read_document
-from malipp_field.errors import InputError
+from malipp_field.documents import parse_document, read_document, whole_file
 from malipp_field.plan.schema import Plan, Stop
 
 _ALWAYS_WRITTEN_LATER = ("collect", "drop", "pick", "unload")
@@ -42,13 +41,8 @@ def write_plan(plan: Plan, path: Path) -> None:
     InputError
         When the file cannot be written.
     """
-    partial = path.with_name(path.name + ".partial")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+    with whole_file(path) as partial:
         partial.write_text(plan_text(plan), encoding="utf-8")
-        partial.replace(path)
-    except OSError as fault:
-        raise InputError(str(path), None, "", f"cannot be written: {fault.strerror}") from None
 
 
 def _stop_data(stop: Stop, first: bool) -> dict[str, object]:

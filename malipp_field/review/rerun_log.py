@@ -23,7 +23,7 @@ from pathlib import Path
 
 import rerun as rr
 
-from malipp_field.errors import InputError
+from malipp_field.documents import whole_file
 from malipp_field.record import Run
 from malipp_field.review import map_log, series_log
 from malipp_field.review.blueprint import blueprint
@@ -42,16 +42,15 @@ def write_review(run: Run, path: Path) -> None:
     InputError
         When the file cannot be written.
     """
-    partial = path.with_name(path.name + ".partial")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        partial.touch()
-    except OSError as fault:
-        raise InputError(str(path), None, "", f"cannot be written: {fault.strerror}") from None
+    with whole_file(path) as partial:
+        _write(run, partial)
+
+
+def _write(run: Run, path: Path) -> None:
     cells = grid(run)
     images = list(estimates(run, cells))
     recording = rr.RecordingStream(APPLICATION, recording_id=f"{run.mission.name}-{run.start_s:.3f}")
-    recording.save(partial, default_blueprint=blueprint(run, images))
+    recording.save(path, default_blueprint=blueprint(run, images))
     recording.set_log_time_enabled(False)
     recording.set_log_tick_enabled(False)
     timeline = Timeline(recording, run.start_s)
@@ -64,7 +63,6 @@ def write_review(run: Run, path: Path) -> None:
     series_log.log_words(timeline, run)
     recording.flush()
     recording.disconnect()
-    partial.replace(path)
 
 
 def _log_field(timeline: Timeline, cells: Grid, images: list[Estimate]) -> None:

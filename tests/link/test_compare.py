@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,14 +17,14 @@ HOME = mission_items(1)[0]
 FLOATS = st.floats(-70000, 70000, width=32)
 
 
-def waypoint(**changes: float) -> MissionItem:
+def waypoint(**changes: Any) -> MissionItem:
     item = MissionItem(1, 3, 16, 0, 1, 0.0, 0.0, 0.0, 0.0, 340000000, -1180000000, 0.0)
-    return item._replace(**changes)  # type: ignore[arg-type]
+    return item._replace(**changes)
 
 
-def script(**changes: float) -> MissionItem:
+def script(**changes: Any) -> MissionItem:
     item = MissionItem(1, 2, 42702, 0, 1, 2.0, 0.0, 3.0, 1.0, 17, 0, 0.0)
-    return item._replace(**changes)  # type: ignore[arg-type]
+    return item._replace(**changes)
 
 
 def compare(sent: MissionItem, there: MissionItem) -> list[str]:

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from random_missions import part_way, tiny_mission
 
 from malipp_field.mission import Cache, Mission, RobotState, TeamState, initial_state, read_mission
+from malipp_field.mission.schema import Method
 from malipp_field.plan import Plan
 from malipp_field.planner import Progress, relaxation_bound, solve, verify
 
@@ -138,9 +139,9 @@ def test_a_robot_that_is_too_heavily_loaded_is_named_unless_it_may_hand_over() -
 
 
 @pytest.mark.parametrize("method", ["auto", "seq"])
-def test_the_time_limit_is_kept(method: str) -> None:
+def test_the_time_limit_is_kept(method: Method) -> None:
     before = time.monotonic()
-    plan = solve(quarry(), method=method, time_limit_s=1.0)  # type: ignore[arg-type]
+    plan = solve(quarry(), method=method, time_limit_s=1.0)
     assert time.monotonic() - before < 3.0
     assert plan.status == "feasible"
 
