@@ -13,8 +13,9 @@ import os
 import sys
 from collections.abc import Callable
 from enum import StrEnum
+from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -41,6 +42,8 @@ class Method(StrEnum):
     EXACT = "exact"
     NO_HANDOFFS = "no-handoffs"
     SEQ = "seq"
+    MIQP = "miqp"
+    ARCS = "arcs"
 
 
 class Format(StrEnum):
@@ -83,27 +86,72 @@ def plan(
     mission_file: MissionFile,
     output: Annotated[Path, typer.Option("--output", "-o", metavar="PLAN", help="Where to write the plan.")],
     method: Annotated[
-        Method | None, typer.Option(help="How to plan; the mission file's where not given.")
+        Method | None,
+        typer.Option(
+            help="How to plan; the mission file's where not given. exact proves its plan, no-handoffs the "
+            "same without drops, seq plans robot by robot and proves nothing, miqp solves the paper's model "
+            "to the letter, arcs an arc model by outer approximation; auto chooses."
+        ),
     ] = None,
     handoffs: Annotated[
-        bool | None, typer.Option("--handoffs/--no-handoffs", help="Allow dead drops.")
+        bool | None,
+        typer.Option("--handoffs/--no-handoffs", help="Allow dead drops, or not; seq never makes any."),
     ] = None,
     time_limit: Seconds = None,
-    gap: Annotated[float | None, typer.Option(min=0.0, help="Relative gap that counts as optimal.")] = None,
-    seed: Annotated[int | None, typer.Option(min=0, help="Seed of the solver.")] = None,
-    threads: Annotated[int | None, typer.Option(min=1, help="Threads; all cores where not given.")] = None,
+    gap: Annotated[
+        float | None,
+        typer.Option(min=0.0, help="Relative gap (J less its bound, by J) at which a method may stop."),
+    ] = None,
+    seed: Annotated[
+        int | None, typer.Option(min=0, help="Seed of every random choice, of all methods.")
+    ] = None,
+    threads: Annotated[
+        int | None, typer.Option(min=1, help="Threads of all methods; all cores where not given.")
+    ] = None,
+    work: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            metavar="N",
+            help="Stop after so many rounds of the exact engine: unlike a time limit, the same plan on every "
+            "machine (miqp knows no rounds and passes over it).",
+        ),
+    ] = None,
+    explain: Annotated[
+        bool,
+        typer.Option(
+            "--explain", help="Say what holds the plan back and what its drops save, by planning again."
+        ),
+    ] = False,
+    explain_limit: Annotated[
+        float | None,
+        typer.Option(
+            min=0.001, metavar="S", help="Seconds for --explain; the time limit of the plan if not given."
+        ),
+    ] = None,
 ) -> None:
-    """Plan a mission and write a verified plan.
+    """Plan a mission and write a verified plan. Ctrl-C ends planning with the best plan so far.
 
     Exit status: 0 with a plan, 3 when there is provably none, 4 when the limit came first.
     """
     mission = read_mission(mission_file)
     _writable(output, mission_file)
-    found = _solve(mission, method, handoffs, time_limit, gap, seed, threads)
+    options = {
+        "method": None if method is None else method.value,
+        "handoffs": handoffs,
+        "mip_gap": gap,
+        "seed": seed,
+        "threads": threads,
+        "work_limit": work,
+    }
+    limit_s = mission.planner.time_limit_s if time_limit is None else time_limit
+    found = _solve_until_interrupted(mission, {**options, "time_limit_s": limit_s})
     write_plan(found, output)
     _show_plan(mission, found)
     _stop_without_routes(found)
     typer.echo(f"plan: {output}")
+    if explain:
+        _explain(mission, found, options, explain_limit or limit_s)
 
 
 @app.command(short_help="Check a plan against every rule of the paper.")
@@ -175,7 +223,7 @@ def run(
     _folder(output / "export")
     for name in RESULTS:
         _writable(output / name, mission_file)
-    found = given or _solve(mission, None, None, time_limit, None, None, None)
+    found = given or _solve(mission, {"time_limit_s": time_limit})
     write_plan(found, output / "plan.json")
     _show_plan(mission, found)
     _stop_without_routes(found)
@@ -207,29 +255,39 @@ def review(
         os.execv(sys.executable, [sys.executable, "-m", "rerun", str(target)])
 
 
-def _solve(
-    mission: Mission,
-    method: Method | None,
-    handoffs: bool | None,
-    time_limit_s: float | None,
-    gap: float | None,
-    seed: int | None,
-    threads: int | None,
-) -> Plan:
+def _solve(mission: Mission, options: dict[str, Any]) -> Plan:
     from malipp_field.cli.display import ProgressLine
     from malipp_field.planner import solve
 
     with ProgressLine("planning") as line:
-        return solve(
-            mission,
-            method=None if method is None else method.value,
-            handoffs=handoffs,
-            time_limit_s=time_limit_s,
-            mip_gap=gap,
-            seed=seed,
-            threads=threads,
-            on_progress=line.planning,
-        )
+        return solve(mission, **options, on_progress=line.planning)
+
+
+def _solve_until_interrupted(mission: Mission, options: dict[str, Any]) -> Plan:
+    from malipp_field.cli.interrupt import Interruption
+
+    with Interruption() as interruption:
+        found = _solve(mission, {**options, "cancelled": lambda: interruption.asked})
+    if interruption.asked:
+        typer.echo("interrupted: this is the best plan so far", err=True)
+    return found
+
+
+def _explain(mission: Mission, found: Plan, options: dict[str, Any], limit_s: float) -> None:
+    """Say why a plan is as it is; the first Ctrl-C ends the questions, not the answer."""
+    from malipp_field.cli.display import ProgressLine, out
+    from malipp_field.cli.explain import print_explanation
+    from malipp_field.cli.interrupt import Interruption
+    from malipp_field.planner import solve
+    from malipp_field.planner.explain import explain, settings
+
+    again = partial(solve, **(options | settings(found)))
+    with Interruption() as interruption, ProgressLine("explaining") as line:
+        explanation = explain(
+            mission, found, time_limit_s=limit_s, solve=again, on_progress=line.show,
+            cancelled=lambda: interruption.asked,
+        )  # fmt: skip
+    print_explanation(explanation, out)
 
 
 def _show_plan(mission: Mission, found: Plan) -> None:

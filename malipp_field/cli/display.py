@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 import time
 from types import TracebackType
@@ -58,14 +59,16 @@ class ProgressLine:
             err.print(line)
 
     def planning(self, progress: Progress) -> None:
-        """Show how far the planner is."""
+        """Show how far the planner is: stage, time, J found and proven, gap, rounds."""
         parts = [progress.stage, f"{progress.elapsed_s:.0f} s"]
         if progress.incumbent is not None:
             parts.append(f"J = {progress.incumbent:.4f}")
-        if progress.bound is not None:
+        if progress.bound is not None and 0.0 < progress.bound < math.inf:
             parts.append(f"J >= {progress.bound:.4f}")
         if progress.gap is not None:
             parts.append(f"gap {100 * progress.gap:.2f} %")
+        if progress.rounds:
+            parts.append(f"round {progress.rounds}")
         self.show(", ".join(parts))
 
     def flying(self, coordinator: Coordinator) -> None:
@@ -122,5 +125,6 @@ def plan_words(plan: Plan, prior: float) -> str:
     j = plan.objective.information
     words = f"J = {j:.4f} ({100 * (1 - j / prior):.1f} % less than the prior's {prior:.4f})"
     if plan.bound.information is not None:
-        words += f", proven J >= {plan.bound.information:.4f}"
+        gap = "" if plan.gap is None else f" (gap {100 * plan.gap:.2f} %)"
+        words += f", proven J >= {plan.bound.information:.4f}{gap}"
     return words + f"; {plan.handoffs} dead drops; planned in {plan.solve_time_s:.1f} s"

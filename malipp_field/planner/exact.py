@@ -55,6 +55,8 @@ class Search:
     gap: float
     seed: int = 0
     threads: int | None = None
+    work: int | None = None
+    """Most rounds of the exact engine: unlike seconds, the same on every machine. None: no limit but time."""
     started: float = field(default_factory=time.monotonic)
     on_progress: Callable[[Progress], None] = lambda _: None
 
@@ -132,7 +134,8 @@ class InformationStage:
         if not self._tangents():
             return Result(None, np.inf, proven=True, infeasible=True)
         self._begin()
-        while not self.search.effort.over and not self.closed:
+        most = self.search.work
+        while not self.search.effort.over and not self.closed and (most is None or self.rounds < most):
             outcome, news = self._round()
             if outcome.status == "infeasible":
                 return Result(None, np.inf, proven=True, infeasible=True)

@@ -100,11 +100,24 @@ def _read_visit(model: TeamModel, point: FloatArray, r: int, slot: int) -> Visit
 
 def tidy(route: Route) -> Route:
     """Leave out idle stops, and close the route of a robot that stays at its depot in one visit."""
-    kept = (route[0], *(visit for visit in route[1:-1] if not visit.idle), route[-1])
+    kept = _without_leg_to_own_copy((route[0], *(v for v in route[1:-1] if not v.idle), route[-1]), route)
     first, last = kept[0], kept[-1]
     if len(kept) == 2 and first.node == last.node and not first.pick and not first.fetch:
         return (replace(first, unload=first.unload + last.unload),)
     return kept
+
+
+def _without_leg_to_own_copy(kept: Route, route: Route) -> Route:
+    """Mend what leaving out idle stops may have made: no leg leads from a depot to its own terminal copy.
+
+    What was only unloaded there is unloaded at the end; else the idle stops in between stay.
+    """
+    *before, inner, last = kept
+    if not before or inner.node != last.node:
+        return kept
+    if replace(inner, unload=0).idle:
+        return (*before, replace(last, unload=last.unload + inner.unload))
+    return (*before, *route[route.index(inner) :])
 
 
 def team_plan(problem: Problem, routes: tuple[Route, ...]) -> TeamPlan | None:

@@ -40,7 +40,7 @@ def _cannot_end(problem: Problem, robot: RobotView, depots: tuple[int, ...]) -> 
     loaded = f" with {load} samples on board" if load else ""
     return (
         f"the cheapest way from {start} to a depot ({names}){loaded} needs {needed:.1f} J, "
-        f"its budget is {robot.budget_j:.1f} J"
+        f"{needed - robot.budget_j:.1f} J more than there is: its budget is {robot.budget_j:.1f} J"
     )
 
 
@@ -70,7 +70,8 @@ def _cannot_fetch(problem: Problem, stock: Stock) -> str | None:
         if nearest is None or short < nearest[0]:
             nearest = (
                 short,
-                f"{robot.id} needs {needed:.1f} J to fetch one, its budget is {robot.budget_j:.1f} J",
+                f"{robot.id} needs {needed:.1f} J to fetch one, {short:.1f} J more than there is: "
+                f"its budget is {robot.budget_j:.1f} J",
             )
     if not reachable:
         return "no robot can drive there and on to one of its depots"

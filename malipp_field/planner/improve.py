@@ -241,6 +241,8 @@ class Improver:
             o = self._random.randrange(len(draft.routes))
             if o == r or node not in self._places[r] or node not in self._places[o]:
                 return None
+            if node in self.problem.closed:
+                return None
             if node not in routes[r][:-1]:
                 routes[r] = self._passing(routes[r], r, node, place + 1)
             routes[o] = self._passing(draft.routes[o], o, node)

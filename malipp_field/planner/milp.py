@@ -19,7 +19,7 @@ import numpy as np
 from malipp_field.field import FloatArray
 from malipp_field.planner.cuts import Group, split_information
 from malipp_field.planner.linear import INFINITY, LinearModel
-from malipp_field.planner.problem import Arc, Problem, RobotView
+from malipp_field.planner.problem import Arc, Problem
 
 _MAX_LEVELS = 64
 """Candidates with more precision levels than this enter J without selectors (and without D)."""
@@ -125,9 +125,8 @@ class TeamModel:
     def _add_transfer_columns(self) -> None:
         problem, columns, column = self.problem, self.columns, self.linear.column
         columns.gives = [{} for _ in problem.robots]
-        pairs = itertools.permutations(range(len(problem.robots)), 2) if problem.handoffs else ()
-        for r, o in pairs:
-            for v in _shared(problem.robots[r], problem.robots[o]):
+        for r, o in itertools.permutations(range(len(problem.robots)), 2):
+            for v in problem.shared(r, o):
                 most = min(problem.robots[r].capacity, problem.robots[o].capacity)
                 columns.h[r, o, v] = column(0, most, integer=True)
                 columns.delta[r, o, v] = column(0, 1, integer=True)
@@ -364,16 +363,6 @@ class TeamModel:
                 terms.append((column, alpha * robot.empty_mass_kg))
                 terms.append((self.columns.load[r][u, head], alpha * self.problem.sample_mass_kg))
         return terms
-
-
-def _shared(sender: RobotView, receiver: RobotView) -> list[int]:
-    """Return where the sender can leave something for the receiver."""
-    if not sender.capacity or not receiver.capacity:
-        return []
-    shared = set(sender.places) & set(receiver.places)
-    if not sender.on_board and not sender.limits[sender.start]:
-        shared.discard(sender.start)
-    return sorted(shared)
 
 
 def _minus(terms: Terms) -> Terms:

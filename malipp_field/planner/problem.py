@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -75,6 +76,8 @@ class Problem:
         V, in the order of ``information``.
     gained : array, shape (V,)
         Precision the team has gained already.
+    closed : frozenset of int
+        Nodes at which nobody may hand over to anybody; what lies there already may be fetched.
     """
 
     nodes: tuple[str, ...]
@@ -87,6 +90,17 @@ class Problem:
     service_time_s: float
     clearance_s: float
     handoffs: bool
+    closed: frozenset[int] = frozenset()
+
+    def shared(self, sender: int, receiver: int) -> list[int]:
+        """Return the nodes, in order, at which one robot can leave something for another."""
+        one, other = self.robots[sender], self.robots[receiver]
+        if not self.handoffs or not one.capacity or not other.capacity:
+            return []
+        places = (set(one.places) & set(other.places)) - self.closed
+        if not one.on_board and not one.limits[one.start]:
+            places.discard(one.start)
+        return sorted(places)
 
     def arcs(self, r: int) -> list[Arc]:
         """Return the arcs robot ``r`` can use on some way from its start to a depot within its budget."""
@@ -110,8 +124,17 @@ def within(energy_j: float, budget_j: float) -> bool:
     return bool(energy_j <= budget_j * (1.0 + 1e-9) + 1e-12)
 
 
-def build_problem(mission: Mission, state: TeamState | None = None, *, handoffs: bool = True) -> Problem:
-    """Return the solvers' view of ``mission`` from ``state`` on, with unreachable stops removed."""
+def build_problem(
+    mission: Mission,
+    state: TeamState | None = None,
+    *,
+    handoffs: bool = True,
+    closed: Collection[str] = (),
+) -> Problem:
+    """Return the solvers' view of ``mission`` from ``state`` on, with unreachable stops removed.
+
+    Nobody may hand over at the nodes ``closed``.
+    """
     state = state or initial_state(mission)
     nodes = tuple(node.id for node in mission.site.nodes)
     index = {node: i for i, node in enumerate(nodes)}
@@ -135,6 +158,7 @@ def build_problem(mission: Mission, state: TeamState | None = None, *, handoffs:
         service_time_s=mission.team.service_time_s,
         clearance_s=mission.team.clearance_s,
         handoffs=handoffs and len(mission.team.robots) > 1,
+        closed=frozenset(index[node] for node in closed),
     )
     return prune(problem)
 
@@ -149,6 +173,7 @@ def prune(problem: Problem) -> Problem:
     for r, robot in enumerate(problem.robots):
         others = [o for i, o in enumerate(problem.robots) if i != r and o.capacity > 0]
         shared = {v for o in others for v in o.places} if problem.handoffs and robot.capacity > 0 else set()
+        shared -= problem.closed
         useful = tuple(
             v for v in robot.stops
             if robot.limits[v] > 0 or v in robot.depots or v in shared or v in stocked

@@ -16,7 +16,8 @@ from __future__ import annotations
 
 import time
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import cvxpy as cp
 import numpy as np
@@ -31,6 +32,8 @@ _BUDGET_SLACK = 3e-6
 """The verifier forgives a millionth of a budget; the bound must hold for those plans too."""
 _ROUNDING = 1e-9
 """Share of the prior J taken off the bound for rounding errors of its evaluation."""
+_STEP = 1e-6
+"""Change of a capacity, or of a budget as a share of it, from which a slope is taken."""
 _ROUNDS = 6
 _WORTH = 1e-3
 """Rounds of cuts end when one raises the bound by less than this share of it."""
@@ -61,6 +64,97 @@ def relaxation_bound(mission: Mission, state: TeamState | None = None, time_limi
     if not all(robot.depots for robot in problem.robots) or not np.any(most > problem.gained):
         return bound - slack
     return max(bound, _cut_and_solve(Polytope(problem), most, deadline)) - slack
+
+
+@dataclass(frozen=True)
+class RelaxedValue:
+    """By how much the relaxed optimum falls with a little more of what a robot has.
+
+    Attributes
+    ----------
+    per_joule
+        Fall in J per joule of B_r.
+    per_sample
+        Fall in J per sample of K_r.
+    """
+
+    per_joule: float
+    per_sample: float
+
+
+def relaxed_values(
+    mission: Mission, state: TeamState | None = None, time_limit_s: float = 60.0
+) -> dict[str, RelaxedValue] | None:
+    """Return what budgets and capacities are worth at the margin of the relaxation, by robot id.
+
+    They come from the multipliers of one cone program (the derivative of its Lagrangian), whatever the size
+    of the team, and speak of the relaxed problem, before any cuts: samples and routes in fractions, drops
+    for nothing.
+
+    Returns
+    -------
+    dict or None
+        Without the robots for which there was no time (the multipliers may take as long again as the solver
+        did); None where some robot reaches no depot, or the solver gave no answer in time.
+    """
+    started = time.monotonic()
+    problem = build_problem(mission, state)
+    most = _most_precision(problem)
+    if not all(robot.depots for robot in problem.robots):
+        return None
+    if not np.any(most > problem.gained):
+        return {robot.id: RelaxedValue(0.0, 0.0) for robot in problem.robots}
+    polytope = Polytope(problem)
+    answer = _solve(polytope, most, time_limit_s)
+    if answer is None:
+        return None
+    solved = time.monotonic()
+    deadline = max(started + time_limit_s, 2 * solved - started)
+    values = {}
+    for r, robot in enumerate(problem.robots):
+        if time.monotonic() > deadline:
+            break
+        values[robot.id] = RelaxedValue(
+            per_joule=_slope(polytope, answer, r, "budget_j", _STEP * max(robot.budget_j, 1.0)),
+            per_sample=_slope(polytope, answer, r, "capacity", _STEP),
+        )
+    return values
+
+
+def _slope(polytope: Polytope, answer: _Answer, r: int, what: str, step: float) -> float:
+    """Return by how much the optimum falls per unit as ``what`` robot ``r`` has changes by ``step``.
+
+    By the envelope theorem: the change of the Lagrangian at the answer, with rows and box of the changed
+    robot. More is tried, then less: a change that adds or removes an arc cannot be compared.
+    """
+    problem, robot = polytope.problem, polytope.problem.robots[r]
+    _, gradient = problem.information.value_and_gradient(answer.precision)
+    reduced = polytope.precision_map().T @ gradient + _pull(polytope, answer)
+    for change in (step, -step):
+        # Also of a capacity: to the relaxation fractions of a sample are as good as samples.
+        changes: dict[str, Any] = {what: max(0.0, getattr(robot, what) + change)}
+        robots = (*problem.robots[:r], replace(robot, **changes), *problem.robots[r + 1 :])
+        other = Polytope(replace(problem, robots=robots))
+        if len(other.lower) != len(polytope.lower):
+            continue
+        box = np.minimum(reduced, 0.0) @ (other.upper - polytope.upper)
+        box += np.maximum(reduced, 0.0) @ (other.lower - polytope.lower)
+        rows = _excess(other, answer) - _excess(polytope, answer)
+        return max(0.0, -float(rows + box) / change)
+    return 0.0
+
+
+def _pull(polytope: Polytope, answer: _Answer) -> FloatArray:
+    """Return the multipliers times the rows, shape (Z,)."""
+    return np.asarray(
+        polytope.equal.matrix.T @ answer.equal + polytope.at_most.matrix.T @ answer.at_most, dtype=np.float64
+    )
+
+
+def _excess(polytope: Polytope, answer: _Answer) -> float:
+    """Return the multipliers times what the answer exceeds the right sides by."""
+    right = answer.equal @ polytope.equal.right + answer.at_most @ polytope.at_most.right
+    return float(_pull(polytope, answer) @ answer.z - right)
 
 
 def _cut_and_solve(polytope: Polytope, most: FloatArray, deadline: float) -> float:
@@ -159,8 +253,7 @@ def _certified(polytope: Polytope, answer: _Answer) -> float:
     """Return the bound that tangent and multipliers prove (see the head of this module)."""
     problem, equal, at_most = polytope.problem, polytope.equal, polytope.at_most
     value, gradient = problem.information.value_and_gradient(answer.precision)
-    slope = polytope.precision_map().T @ gradient
-    reduced = slope + equal.matrix.T @ answer.equal + at_most.matrix.T @ answer.at_most
+    reduced = polytope.precision_map().T @ gradient + _pull(polytope, answer)
     smallest = np.minimum(reduced * polytope.lower, reduced * polytope.upper).sum()
     constant = gradient @ (problem.gained - answer.precision)
     return float(value + constant + smallest - answer.equal @ equal.right - answer.at_most @ at_most.right)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 
 from malipp_field.mission import Mission, TeamState
@@ -16,6 +16,7 @@ from malipp_field.planner.feasibility import obstacle
 from malipp_field.planner.linear import Effort
 from malipp_field.planner.problem import Problem, build_problem
 from malipp_field.planner.sequential import solve_sequential
+from malipp_field.planner.shortage import shortage
 from malipp_field.planner.verify import verify
 
 _SEQUENTIAL_SHARE = 0.1
@@ -33,6 +34,7 @@ class Request:
     search: Search
     version: int
     warm_start: Plan | None
+    closed: frozenset[str]
 
 
 def solve(
@@ -45,6 +47,8 @@ def solve(
     mip_gap: float | None = None,
     seed: int | None = None,
     threads: int | None = None,
+    work_limit: int | None = None,
+    closed: Collection[str] = (),
     warm_start: Plan | None = None,
     version: int = 1,
     on_progress: Callable[[Progress], None] | None = None,
@@ -58,7 +62,12 @@ def solve(
         Where the team stands; the beginning of the mission where it is None.
     method
         "exact" proves its plan; "no-handoffs" is the same without drops; "seq" is Seq-LIPP; "auto" is "exact"
-        begun with Seq-LIPP.
+        begun with Seq-LIPP. "miqp" is the paper's model to the letter, "arcs" the outer approximation over
+        the arc model: slower proofs of the same optimum.
+    work_limit
+        Most rounds of the exact engine; a search that ends by it gives the same plan on every machine.
+    closed
+        Ids of nodes at which nobody may hand over.
     warm_start
         Routes and operations to begin with (times and energies are worked out anew): the result is never
         worse, if they keep the rules from this state on; else they are ignored.
@@ -89,6 +98,7 @@ def solve(
         gap=options.mip_gap if mip_gap is None else mip_gap,
         seed=options.seed if seed is None else seed,
         threads=threads,
+        work=work_limit,
         started=started,
         on_progress=on_progress or (lambda _: None),
     )
@@ -100,12 +110,13 @@ def solve(
         search=search,
         version=version,
         warm_start=warm_start,
+        closed=frozenset(closed),
     )
     return _checked(request, _solve(request))
 
 
 def _solve(request: Request) -> Plan:
-    problem = build_problem(request.mission, request.state, handoffs=request.handoffs)
+    problem = build_problem(request.mission, request.state, handoffs=request.handoffs, closed=request.closed)
     index = {node: i for i, node in enumerate(problem.nodes)}
     depots = {r.id: tuple(index[d] for d in r.depots) for r in request.mission.team.robots}
     reason = obstacle(problem, depots)
@@ -130,13 +141,12 @@ def _exact(request: Request, problem: Problem, start: TeamPlan | None) -> Plan:
     search = request.search
     if start is None and request.method == "auto":
         start = solve_sequential(problem, search.share(_SEQUENTIAL_SHARE))
-    result: Result = solve_exact(problem, search, start)
+    result = _engine(request.method)(problem, search, start)
     if result.infeasible:
-        return _no_routes(
-            request, "infeasible",
-            "no set of routes brings every robot and every sample home within budgets and capacities "
-            "(proven by the exact model)",
-        )  # fmt: skip
+        reason = shortage(
+            request.mission, request.state, search, handoffs=request.handoffs, closed=request.closed
+        )
+        return _no_routes(request, "infeasible", reason)
     if result.team is None:
         return _no_routes(request, "no_plan", "the limit came before a first plan")
     gap = relative_gap(result.team.information, result.bound)
@@ -145,10 +155,19 @@ def _exact(request: Request, problem: Problem, start: TeamPlan | None) -> Plan:
     return plan_file(request.mission.name, problem, result.team, _verdict(request, status, bound, gap))
 
 
+def _engine(method: Method) -> Callable[[Problem, Search, TeamPlan | None], Result]:
+    if method == "miqp":
+        # cvxpy takes a second to import, which no other method should have to wait for
+        from malipp_field.planner.literal import solve_literal  # noqa: PLC0415
+
+        return solve_literal
+    return solve_exact
+
+
 def _warm(request: Request, problem: Problem) -> TeamPlan | None:
     """Return the routes of the warm start, scheduled and costed anew, if they keep every rule."""
     advice = request.warm_start
-    if advice is None:
+    if advice is None or _drops(advice) & request.closed or (_drops(advice) and not request.handoffs):
         return None
     try:
         team = team_plan(problem, routes_of(problem, advice))
@@ -173,8 +192,8 @@ def _verdict(request: Request, status: Status, bound: float | None, gap: float |
 
 
 def _method_used(request: Request) -> str:
-    if request.method == "seq":
-        return "seq"
+    if request.method in {"seq", "miqp", "arcs"}:
+        return request.method
     return "exact" if request.handoffs else "no-handoffs"
 
 
@@ -195,4 +214,11 @@ def _checked(request: Request, plan: Plan) -> Plan:
     faults = verify(request.mission, plan, request.state) if plan.robots else []
     if faults:
         raise RuntimeError("the planner made a plan that breaks a rule: " + "; ".join(map(str, faults)))
+    if _drops(plan) & request.closed:
+        raise RuntimeError("the planner made a plan with a drop at a closed node")
     return plan
+
+
+def _drops(plan: Plan) -> set[str]:
+    """Return the nodes at which a plan hands over."""
+    return {stop.node for robot in plan.robots for stop in robot.route if stop.drop}

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from malipp_field.cli.app import main
+from malipp_field.cli.app import Method, main
 from malipp_field.cli.display import plan_table
 from malipp_field.mission import read_mission
 from malipp_field.plan import Plan, read_plan
@@ -95,7 +95,7 @@ def test_plan_verify_and_export(mission: Path, tmp_path: Path, capsys: pytest.Ca
     assert all(p.stat().st_size > 0 for p in written)
 
 
-@pytest.mark.parametrize("method", ["auto", "exact", "no-handoffs", "seq"])
+@pytest.mark.parametrize("method", [method.value for method in Method])
 def test_every_method_plans(method: str, mission: Path, tmp_path: Path) -> None:
     path = tmp_path / "plan.json"
     assert status("plan", mission, "--method", method, "-o", path) == 0
