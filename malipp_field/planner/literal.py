@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from malipp_field.planner.exact import Progress, Result, Search, relative_gap
+from malipp_field.planner.progress import Progress, Result, Search, relative_gap
 from malipp_field.planner.extract import TeamPlan, team_plan
 from malipp_field.planner.literal_model import ENERGY, INFORMATION, MAKESPAN, LiteralModel
 from malipp_field.planner.literal_plan import assign, read_routes

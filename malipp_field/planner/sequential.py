@@ -12,10 +12,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from malipp_field.planner.exact import Result, Search, solve_exact
+from malipp_field.planner.exact import solve_exact
 from malipp_field.planner.extract import Route, TeamPlan, read_routes, team_plan
 from malipp_field.planner.milp import TeamModel
 from malipp_field.planner.problem import Problem, prune
+from malipp_field.planner.progress import Result, Search
 
 
 def solve_sequential(problem: Problem, search: Search) -> TeamPlan | None:

@@ -10,11 +10,12 @@ from malipp_field.mission import Mission, TeamState
 from malipp_field.mission.schema import Method
 from malipp_field.plan import Plan
 from malipp_field.plan.schema import Status
-from malipp_field.planner.exact import Progress, Result, Search, relative_gap, solve_exact
+from malipp_field.planner.exact import solve_arcs, solve_exact
 from malipp_field.planner.extract import TeamPlan, Verdict, plan_file, routes_of, team_plan
 from malipp_field.planner.feasibility import obstacle
 from malipp_field.planner.linear import Effort
 from malipp_field.planner.problem import Problem, build_problem
+from malipp_field.planner.progress import Progress, Result, Search, relative_gap
 from malipp_field.planner.sequential import solve_sequential
 from malipp_field.planner.shortage import shortage
 from malipp_field.planner.verify import verify
@@ -161,7 +162,7 @@ def _engine(method: Method) -> Callable[[Problem, Search, TeamPlan | None], Resu
         from malipp_field.planner.literal import solve_literal  # noqa: PLC0415
 
         return solve_literal
-    return solve_exact
+    return solve_arcs if method == "arcs" else solve_exact
 
 
 def _warm(request: Request, problem: Problem) -> TeamPlan | None:

@@ -17,7 +17,8 @@ from malipp_field.mission import Mission, Passage, initial_state
 from malipp_field.planner.closure import closure
 from malipp_field.planner.cuts import diagonal_share, split_information
 from malipp_field.planner.draft import COLLECTED, Draft, Sample, draft_of
-from malipp_field.planner.exact import Search, solve_exact
+from malipp_field.planner.exact import solve_exact
+from malipp_field.planner.progress import Search
 from malipp_field.planner.extract import Visit, read_routes, start_point, team_plan
 from malipp_field.planner.improve import Improver
 from malipp_field.planner.linear import Effort

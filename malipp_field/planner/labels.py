@@ -1,0 +1,513 @@
+"""Compiled labelling over one robot's schedules: the pricing and the enumeration of `schedules`.
+
+A label is a partial schedule: where the robot is, its load, the energy spent, the value gathered and the
+places visited. Operations at a place are coded ``a * (2 K + 1) + h + K``: a samples taken, h the net exchange
+(picked less dropped) with K the capacity; the code K is idleness. Place 0 is the start.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+ONE = np.uint64(1)
+ZERO = np.uint64(0)
+LEVELS = 192
+"""Steps of energy in the completion bound."""
+
+
+class Actor(NamedTuple):
+    """One robot in arrays over its P places.
+
+    Attributes
+    ----------
+    cost : array, shape (P, P)
+        alpha between places.
+    home : array, shape (P,)
+        alpha of the cheapest way to a terminal; from a depot, to another depot (the start excepted).
+    limits, most_drop, most_pick : array, shape (P,)
+        Bounds on a and on the exchange at each place.
+    depot : array, shape (P,)
+        Whether it unloads there.
+    """
+
+    cost: FloatArray
+    home: FloatArray
+    empty_mass: float
+    sample_mass: float
+    budget: float
+    capacity: int
+    on_board: int
+    limits: NDArray[np.int64]
+    most_drop: NDArray[np.int64]
+    most_pick: NDArray[np.int64]
+    depot: NDArray[np.bool_]
+
+
+@njit(cache=True)
+def _mixed(h, x):  # type: ignore[no-untyped-def]
+    h ^= x + np.uint64(0x9E3779B97F4A7C15) + (h << np.uint64(6)) + (h >> np.uint64(2))
+    h *= np.uint64(0xBF58476D1CE4E5B9)
+    return h ^ (h >> np.uint64(31))
+
+
+@njit(cache=True)
+def way_home(actor, u, mask):  # type: ignore[no-untyped-def]
+    """Return alpha of the cheapest end of a route at ``u``.
+
+    No arc leads from a depot to its own terminal copy, so a robot that has picked something up at a depot goes
+    to another one, or comes back over a place it has not visited.
+    """
+    best = actor.home[u]
+    if u > 0 and actor.depot[u]:
+        for v in range(1, actor.cost.shape[0]):
+            if v != u and not (mask >> np.uint64(v)) & ONE:
+                best = min(best, actor.cost[u, v] + actor.cost[v, u])
+    return best
+
+
+@njit(cache=True)
+def completion(actor, gain):  # type: ignore[no-untyped-def]
+    """Return an upper bound on the value still to be gathered, by place, load and energy level left.
+
+    The relaxation forgets which places were visited and rounds energies down to ``budget / LEVELS``.
+
+    Returns
+    -------
+    array, shape (P, K + 1, E), the energy of a level, and levels added to make up for legs below one level.
+    """
+    P, C = gain.shape
+    K = actor.capacity
+    step = actor.budget / LEVELS
+    if step <= 0.0:
+        step = 1e-12
+    slack = 0
+    for u in range(P):
+        for v in range(1, P):
+            if u != v and actor.cost[u, v] * actor.empty_mass < step:
+                slack = P
+    E = LEVELS + slack + 1
+    bound = np.full((P, K + 1, E), -np.inf)
+    arrive = np.full((P, K + 1, E), -np.inf)
+    for e in range(E):
+        for u in range(P):
+            for q in range(K + 1):
+                mass = actor.empty_mass + actor.sample_mass * q
+                best = -np.inf
+                if way_home(actor, u, ZERO) * mass <= (e + 1) * step:
+                    best = 0.0
+                for v in range(1, P):
+                    if v == u:
+                        continue
+                    leg = actor.cost[u, v] * mass / step
+                    if not leg < e + 1:
+                        continue
+                    left = e - max(1, int(leg))
+                    if left >= 0 and arrive[v, q, left] > best:
+                        best = arrive[v, q, left]
+                bound[u, q, e] = best
+        for v in range(1, P):
+            for q in range(K + 1):
+                best = -np.inf
+                for a in range(actor.limits[v] + 1):
+                    brought = q + a
+                    if brought > K:
+                        break
+                    most_drop = min(brought, actor.most_drop[v])
+                    base = 0 if actor.depot[v] else brought
+                    for h in range(-most_drop, actor.most_pick[v] + 1):
+                        after = base + h
+                        if after > K:
+                            break
+                        best = max(best, gain[v, a * (2 * K + 1) + h + K] + bound[v, after, e])
+                arrive[v, q, e] = best
+    return bound, step, slack
+
+
+@njit(cache=True)
+def _level(energy_left, step, slack, levels):  # type: ignore[no-untyped-def]
+    return min(int(max(energy_left, 0.0) / step) + slack, levels - 1)
+
+
+@njit(cache=True)
+def _hash(codes, mask, v, q):  # type: ignore[no-untyped-def]
+    h = _mixed(mask, np.uint64(v * 4096 + q))
+    for w in range(codes.shape[0]):
+        if codes[w] != 0:
+            h = _mixed(h, np.uint64(w * 65536 + codes[w]))
+    return h
+
+
+@njit(cache=True)
+def enumerate_labels(actor, gain, least, room):  # type: ignore[no-untyped-def]
+    """List every partial schedule that some schedule of value ``least`` or more begins with.
+
+    Labels that differ only in the order of their stops are kept once, with the least energy.
+
+    Parameters
+    ----------
+    gain : array, shape (P, C)
+        Value of each operation code; minus infinity forbids it.
+    room
+        Most labels.
+
+    Returns
+    -------
+    Number of labels (-1: there are more than ``room``), codes (less K, so that 0 is idle), visited, place,
+    load, energy, parent.
+    """
+    P = actor.cost.shape[0]
+    K = actor.capacity
+    bound, step, slack = completion(actor, gain)
+    levels = bound.shape[2]
+    codes = np.zeros((room, P), np.int16)
+    mask = np.zeros(room, np.uint64)
+    place = np.zeros(room, np.int16)
+    load = np.zeros(room, np.int16)
+    energy = np.zeros(room)
+    value = np.zeros(room)
+    parent = np.full(room, -1, np.int32)
+    size = 64
+    while size < 2 * room:
+        size *= 2
+    table = np.full(size, -1, np.int32)
+    limit = actor.budget * (1.0 + 1e-9) + 1e-12
+    count = 0
+    begin, end = -1, 0
+    while begin < end:
+        fresh = count
+        for i in range(begin, end):
+            for v in range(P):
+                if (i < 0) != (v == 0):
+                    continue
+                if i < 0:
+                    spent, q, seen, worth = 0.0, actor.on_board, ZERO, 0.0
+                else:
+                    if (mask[i] >> np.uint64(v)) & ONE:
+                        continue
+                    mass = actor.empty_mass + actor.sample_mass * load[i]
+                    spent = energy[i] + actor.cost[place[i], v] * mass
+                    q, seen, worth = load[i], mask[i], value[i]
+                if not spent <= limit:
+                    continue
+                for a in range(actor.limits[v] + 1):
+                    brought = q + a
+                    if brought > K and not actor.depot[v]:
+                        break
+                    base = 0 if actor.depot[v] else brought
+                    for h in range(-min(brought, actor.most_drop[v]), actor.most_pick[v] + 1):
+                        after = base + h
+                        if after > K:
+                            break
+                        if a == 0 and h == 0 and v > 0 and not (actor.depot[v] and q > 0):
+                            continue
+                        code = a * (2 * K + 1) + h + K
+                        new = worth + gain[v, code]
+                        more = bound[v, after, _level(limit - spent, step, slack, levels)]
+                        if not new + more >= least:
+                            continue
+                        if count >= room:
+                            return -1, codes, mask, place, load, energy, parent
+                        k = count
+                        if i >= 0:
+                            codes[k] = codes[i]
+                        else:
+                            codes[k] = 0
+                        codes[k, v] = code - K
+                        seen_now = seen | (ONE << np.uint64(v))
+                        slot = _hash(codes[k], seen_now, v, after) & np.uint64(size - 1)
+                        found = -1
+                        while table[slot] >= 0:
+                            j = table[slot]
+                            if mask[j] == seen_now and place[j] == v and load[j] == after:
+                                same = True
+                                for w in range(P):
+                                    if codes[j, w] != codes[k, w]:
+                                        same = False
+                                        break
+                                if same:
+                                    found = j
+                                    break
+                            slot = (slot + ONE) & np.uint64(size - 1)
+                        if found < 0:
+                            table[slot] = k
+                            mask[k], place[k], load[k] = seen_now, v, after
+                            energy[k], value[k], parent[k] = spent, new, i
+                            count += 1
+                        elif spent < energy[found]:
+                            energy[found], parent[found] = spent, i
+        begin, end = fresh, count
+    return count, codes, mask, place, load, energy, parent
+
+
+@njit(cache=True)
+def complete_schedules(actor, count, codes, mask, place, load, energy):  # type: ignore[no-untyped-def]
+    """Return, for every distinct set of operations that can be ended in time, its cheapest label and energy."""
+    P = codes.shape[1]
+    size = 64
+    while size < 2 * count + 2:
+        size *= 2
+    table = np.full(size, -1, np.int32)
+    label = np.zeros(count, np.int32)
+    least = np.zeros(count)
+    limit = actor.budget * (1.0 + 1e-9) + 1e-12
+    n = 0
+    for i in range(count):
+        spent = energy[i] + way_home(actor, place[i], mask[i]) * (
+            actor.empty_mass + actor.sample_mass * load[i]
+        )
+        if not spent <= limit:
+            continue
+        slot = _hash(codes[i], ZERO, 0, 0) & np.uint64(size - 1)
+        found = -1
+        while table[slot] >= 0:
+            j = table[slot]
+            same = True
+            for w in range(P):
+                if codes[label[j], w] != codes[i, w]:
+                    same = False
+                    break
+            if same:
+                found = j
+                break
+            slot = (slot + ONE) & np.uint64(size - 1)
+        if found < 0:
+            table[slot] = n
+            label[n], least[n] = i, spent
+            n += 1
+        elif spent < least[found]:
+            label[found], least[found] = i, spent
+    return label[:n], least[:n]
+
+
+@njit(cache=True)
+def without_dominated(codes, K, limits, most_pick):  # type: ignore[no-untyped-def]
+    """Tell which schedules no other one beats by one sample taken or one unit of exchange more.
+
+    ``codes`` are less K. What is taken or picked besides does no harm: J falls with every sample, and of a
+    pick only what is dropped need be used.
+    """
+    n, P = codes.shape
+    H = 2 * K + 1
+    size = 64
+    while size < 2 * n + 2:
+        size *= 2
+    table = np.full(size, -1, np.int32)
+    for i in range(n):
+        slot = _hash(codes[i], ZERO, 0, 0) & np.uint64(size - 1)
+        while table[slot] >= 0:
+            slot = (slot + ONE) & np.uint64(size - 1)
+        table[slot] = i
+    keep = np.ones(n, np.bool_)
+    trial = np.zeros(P, np.int16)
+    for i in range(n):
+        trial[:] = codes[i]
+        for w in range(P):
+            code = codes[i, w] + K
+            for kind in range(2):
+                a, h = code // H, code % H - K
+                if kind == 0:
+                    a += 1
+                    if a > limits[w]:
+                        continue
+                else:
+                    h += 1
+                    if h > most_pick[w]:
+                        continue
+                trial[w] = a * H + h
+                slot = _hash(trial, ZERO, 0, 0) & np.uint64(size - 1)
+                while table[slot] >= 0 and keep[i]:
+                    same = True
+                    for x in range(P):
+                        if codes[table[slot], x] != trial[x]:
+                            same = False
+                            break
+                    if same:
+                        keep[i] = False
+                    slot = (slot + ONE) & np.uint64(size - 1)
+                if not keep[i]:
+                    break
+            trial[w] = codes[i, w]
+            if not keep[i]:
+                break
+    return keep
+
+
+@njit(cache=True)
+def price_labels(actor, gain, must, exact_load, least, room):  # type: ignore[no-untyped-def]
+    """Find schedules worth more than ``least`` by labelling with dominance.
+
+    A label is dominated by one at the same place with no more load, energy or visited places and no less
+    value; ``exact_load`` asks for the same load (where dropping less than planned is forbidden somewhere).
+
+    Parameters
+    ----------
+    must : uint64
+        Places at which the schedule has to do something.
+
+    Returns
+    -------
+    Whether the search was complete, labels of schedules found, their values, and the labels' code, place and
+    parent.
+    """
+    P = actor.cost.shape[0]
+    K = actor.capacity
+    H = 2 * K + 1
+    bound, step, slack = completion(actor, gain)
+    levels = bound.shape[2]
+    mask = np.zeros(room, np.uint64)
+    place = np.zeros(room, np.int16)
+    load = np.zeros(room, np.int16)
+    code_of = np.zeros(room, np.int16)
+    energy = np.zeros(room)
+    value = np.zeros(room)
+    parent = np.full(room, -1, np.int32)
+    dead = np.zeros(room, np.bool_)
+    follows = np.full(room, -1, np.int32)
+    first = np.full(P, -1, np.int32)
+    found = np.zeros(room, np.int32)
+    worths = np.zeros(room)
+    n_found = 0
+    limit = actor.budget * (1.0 + 1e-9) + 1e-12
+    can_drop = actor.most_drop.max() > 0
+    best_gain = np.zeros(P)
+    for v in range(P):
+        best_gain[v] = max(0.0, gain[v].max())
+    count = 0
+    i = -1
+    while i < count:
+        if i >= 0 and dead[i]:
+            i += 1
+            continue
+        for v in range(P):
+            if (i < 0) != (v == 0):
+                continue
+            if i < 0:
+                spent, q, seen, worth = 0.0, actor.on_board, ZERO, 0.0
+            else:
+                if (mask[i] >> np.uint64(v)) & ONE:
+                    continue
+                mass = actor.empty_mass + actor.sample_mass * load[i]
+                spent = energy[i] + actor.cost[place[i], v] * mass
+                q, seen, worth = load[i], mask[i], value[i]
+            if not spent <= limit:
+                continue
+            for a in range(actor.limits[v] + 1):
+                brought = q + a
+                if brought > K and not actor.depot[v]:
+                    break
+                base = 0 if actor.depot[v] else brought
+                for h in range(-min(brought, actor.most_drop[v]), actor.most_pick[v] + 1):
+                    after = base + h
+                    if after > K:
+                        break
+                    if a == 0 and h == 0 and v > 0 and not (actor.depot[v] and q > 0):
+                        continue
+                    code = a * H + h + K
+                    g = gain[v, code]
+                    if g == -np.inf:
+                        continue
+                    if h > 0 and g <= gain[v, code - 1] + 1e-12:
+                        continue  # one less to carry for the same
+                    if a > 0 and h >= 0 and g <= gain[v, code - H] + 1e-12:
+                        continue
+                    if a > 0 and h < 0 and g <= gain[v, code - H + 1] + 1e-12:
+                        continue
+                    new = worth + g
+                    rest = bound[v, after, _level(limit - spent, step, slack, levels)]
+                    if not new + rest > least:
+                        continue
+                    seen_now = seen | (ONE << np.uint64(v))
+                    mass = actor.empty_mass + (0.0 if can_drop else actor.sample_mass * after)
+                    open_gain = 0.0
+                    for w in range(1, P):
+                        if not (seen_now >> np.uint64(w)) & ONE:
+                            reach = (
+                                spent
+                                + actor.cost[v, w] * mass
+                                + min(actor.home[w], way_home(actor, w, ZERO)) * actor.empty_mass
+                            )
+                            if reach > limit:
+                                if (must >> np.uint64(w)) & ONE:
+                                    open_gain = -np.inf
+                                    break
+                                seen_now |= ONE << np.uint64(w)
+                            else:
+                                open_gain += best_gain[w]
+                    if not new + open_gain > least:
+                        continue
+                    j = first[v]
+                    beaten = False
+                    while j >= 0:
+                        if not dead[j]:
+                            if (
+                                energy[j] <= spent + 1e-9
+                                and value[j] >= new - 1e-9
+                                and (load[j] == after or (load[j] < after and not exact_load))
+                                and (mask[j] & ~seen_now) == ZERO
+                                and ((mask[j] ^ seen_now) & must) == ZERO
+                            ):
+                                beaten = True
+                                break
+                            if (
+                                j > i
+                                and spent <= energy[j]
+                                and new >= value[j]
+                                and (load[j] == after or (after < load[j] and not exact_load))
+                                and (seen_now & ~mask[j]) == ZERO
+                                and ((mask[j] ^ seen_now) & must) == ZERO
+                            ):
+                                dead[j] = True
+                        j = follows[j]
+                    if beaten:
+                        continue
+                    if count >= room:
+                        return False, found[:n_found], worths[:n_found], code_of, place, parent
+                    k = count
+                    mask[k], place[k], load[k], code_of[k] = seen_now, v, after, code - K
+                    energy[k], value[k], parent[k] = spent, new, i
+                    follows[k] = first[v]
+                    first[v] = k
+                    count += 1
+                    total = spent + way_home(actor, v, seen_now) * (
+                        actor.empty_mass + actor.sample_mass * after
+                    )
+                    if new > least and total <= limit and (seen_now & must) == must:
+                        found[n_found], worths[n_found] = k, new
+                        n_found += 1
+        i += 1
+    return True, found[:n_found], worths[:n_found], code_of, place, parent
+
+
+@njit(cache=True)
+def scan(codes, K, alive, gain, firsts, seconds, pair_gain, taken, values):  # type: ignore[no-untyped-def]
+    """Write the value of every schedule of a pool into ``values``.
+
+    Parameters
+    ----------
+    codes : array, shape (M, P)
+        Operation codes, less K.
+    gain : array, shape (P, C)
+        Indexed by code; minus infinity forbids.
+    firsts, seconds, pair_gain : array, shape (Q,)
+        Value of every pair of samples at two places.
+    taken : array, shape (M, P)
+        Samples taken.
+    """
+    M, P = codes.shape
+    for i in range(M):
+        if not alive[i]:
+            values[i] = -np.inf
+            continue
+        total = 0.0
+        for w in range(P):
+            total += gain[w, codes[i, w] + K]
+        if total > -np.inf:
+            for k in range(firsts.shape[0]):
+                total += pair_gain[k] * taken[i, firsts[k]] * taken[i, seconds[k]]
+        values[i] = total

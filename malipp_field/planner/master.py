@@ -1,0 +1,430 @@
+"""The linear master: which schedule each robot follows, and what J is then at least.
+
+    min  sum_G theta_G
+    s.t. sum_c lambda_rc = 1                                             for every robot r
+         sum_{r in class k} sum_c a_cv lambda_rc = n_kv                  samples by class and candidate
+         sum_l counts_k(l) z_vl = n_kv,  sum_l z_vl <= 1                 (eq:precision_select)
+         sum_r sum_c h_cv lambda_rc >= stock_v                           what is dropped is picked
+         sum_{r' != r} min(t, picks_r'v) >= t [drops_rv >= t]            the same, drop by drop
+         theta_G >= tangents and envelopes of J                          (`cuts`, `envelope`)
+
+Its columns lambda are priced by `schedules`; every row is a sum over places of something that depends on the
+code there, so pricing needs no more than a table of gains, one for each code at each place. The rows of pairs,
+E[n_u n_v] in the envelopes, are the exception: they ask for listed schedules.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import highspy
+import numpy as np
+from numpy.typing import NDArray
+
+from malipp_field.field import FloatArray
+from malipp_field.planner.cuts import split_information
+from malipp_field.planner.envelope import Cut, Envelope, Level, Pair, levels_of
+from malipp_field.planner.linear import INFINITY
+from malipp_field.planner.problem import Problem
+from malipp_field.planner.schedules import Codes, Robot
+
+_PENALTY = 100.0
+"""Cost of what no schedule does yet, in priors: only to have a solution from the start."""
+_IDLE_ROUNDS = 25
+"""Cuts that were not active in so many solutions are dropped."""
+
+
+@dataclass
+class Feature:
+    """A row over codes: the sum over robots of the table entries of their schedules' codes."""
+
+    row: int
+    tables: dict[int, FloatArray]
+
+
+@dataclass
+class LiveCut:
+    """A row that may be dropped again."""
+
+    row: int
+    idle: int = 0
+
+
+@dataclass
+class Point:
+    """A solution of the master."""
+
+    value: float
+    x: FloatArray
+    dual: FloatArray
+    missing: float
+    """Shares of schedules that do not exist."""
+
+
+@dataclass
+class Column:
+    """A schedule in the master."""
+
+    robot: int
+    codes: Codes
+    column: int
+    closed: bool = False
+
+
+@dataclass
+class Branch:
+    """What a node of the tree forbids.
+
+    Attributes
+    ----------
+    forbidden : array of bool, one of shape (P, C) a robot
+    counts : dict
+        Bounds on n_kv by (class, position in V).
+    levels : dict
+        Bounds on z_vl by (position in V, selector).
+    exact_load
+        Robots that may have to drop more than they need.
+    """
+
+    forbidden: list[NDArray[np.bool_]]
+    counts: dict[tuple[int, int], tuple[float, float]] = field(default_factory=dict)
+    levels: dict[tuple[int, int], tuple[float, float]] = field(default_factory=dict)
+    exact_load: frozenset[int] = frozenset()
+
+
+class Master:
+    """The linear program and what is known of its rows and columns."""
+
+    def __init__(self, problem: Problem, robots: list[Robot]) -> None:
+        self.problem, self.robots = problem, robots
+        self.classes = sorted({robot.precision for robot in robots})
+        self.class_of = [self.classes.index(robot.precision) for robot in robots]
+        self.position = {v: i for i, v in enumerate(problem.candidates)}
+        self.columns: list[Column] = []
+        self.features: list[Feature] = []
+        self.n: dict[tuple[int, int], int] = {}
+        self.z: list[list[tuple[tuple[int, ...], int]]] = [[] for _ in problem.candidates]
+        self._solver = highspy.Highs()
+        for option, value in (("output_flag", False), ("threads", 1), ("presolve", "off")):
+            self._solver.setOptionValue(option, value)
+        self._rows = self._cols = 0
+        self._cuts: list[LiveCut] = []
+        self._pair: dict[Pair, tuple[int, int]] = {}
+        """Column and row of E[n_u n_v]."""
+        self._pair_places: list[dict[Pair, tuple[int, int]]] = [{} for _ in robots]
+        most = self._most()
+        self._convexity = [self._row([], 1.0, 1.0) for _ in robots]
+        self._absent = [self._stand_in(row) for row in self._convexity]
+        self._select(most)
+        self._exchange()
+        self._information(most)
+        self._tables = [
+            np.array([feature.tables.get(r, np.zeros((len(robot.places), robot.width))).ravel()
+                      for feature in self.features]).reshape(-1, len(robot.places) * robot.width)
+            for r, robot in enumerate(robots)
+        ]  # fmt: skip
+        self._feature_rows = np.array([feature.row for feature in self.features], dtype=np.int64)
+
+    # building
+
+    def _row(self, terms: Sequence[tuple[int, float]], lower: float, upper: float) -> int:
+        index = np.array([column for column, _ in terms], dtype=np.int32)
+        value = np.array([coefficient for _, coefficient in terms], dtype=float)
+        self._solver.addRow(lower, upper, len(index), index, value)
+        self._rows += 1
+        return self._rows - 1
+
+    def _column(self, cost: float, lower: float, upper: float, terms: Sequence[tuple[int, float]]) -> int:
+        index = np.array([row for row, _ in terms], dtype=np.int32)
+        value = np.array([coefficient for _, coefficient in terms], dtype=float)
+        self._solver.addCol(cost, lower, upper, len(index), index, value)
+        self._cols += 1
+        return self._cols - 1
+
+    def _stand_in(self, row: int) -> int:
+        """Return a column that meets a row as long as there are no schedules that do."""
+        return self._column(_PENALTY * self.problem.information.prior, 0.0, INFINITY, [(row, 1.0)])
+
+    def _most(self) -> NDArray[np.int64]:
+        """Return the most samples of each class at each candidate, shape (V, classes)."""
+        most = np.zeros((len(self.problem.candidates), len(self.classes)), dtype=np.int64)
+        for robot, k in zip(self.robots, self.class_of, strict=True):
+            for w, v in enumerate(robot.places):
+                if v in self.position:
+                    most[self.position[v], k] += robot.actor.limits[w]
+        return most
+
+    def _select(self, most: NDArray[np.int64]) -> None:
+        for i, node in enumerate(self.problem.candidates):
+            for counts in itertools.product(*(range(m + 1) for m in most[i])):
+                if any(counts):
+                    self.z[i].append((counts, self._column(0.0, 0.0, 1.0, [])))
+            if self.z[i]:
+                self._row([(column, 1.0) for _, column in self.z[i]], -INFINITY, 1.0)
+            for k, m in enumerate(most[i]):
+                if m:
+                    self._count(k, i, node, int(m))
+
+    def _count(self, k: int, i: int, node: int, most: int) -> None:
+        n = self._column(0.0, 0.0, float(most), [])
+        self.n[k, i] = n
+        levels = [(column, float(counts[k])) for counts, column in self.z[i] if counts[k]]
+        self._row([*levels, (n, -1.0)], 0.0, 0.0)
+        row = self._row([(n, -1.0)], 0.0, 0.0)
+        self._absent.append(self._stand_in(row))
+        tables = {}
+        for r, robot in enumerate(self.robots):
+            if self.class_of[r] == k and node in robot.places:
+                table = np.zeros((len(robot.places), robot.width))
+                table[robot.places.index(node)] = robot.taken_of
+                tables[r] = table
+        self.features.append(Feature(row, tables))
+
+    def _exchange(self) -> None:
+        nodes = sorted({v for robot in self.robots for v in robot.places})
+        for v in nodes:
+            here = [(r, robot.places.index(v)) for r, robot in enumerate(self.robots) if v in robot.places]
+            stock = sum(s.count for s in self.problem.stocks if s.node == v)
+            drops = [int(self.robots[r].actor.most_drop[w]) for r, w in here]
+            if not any(drops) and not stock:
+                continue
+            self._exchange_row(v, here, float(stock), None, 0)
+            for (r, _), most in zip(here, drops, strict=True):
+                for t in range(1, most + 1):
+                    self._exchange_row(v, here, 0.0, r, t)
+
+    def _exchange_row(
+        self, v: int, here: list[tuple[int, int]], least: float, sender: int | None, t: int
+    ) -> None:
+        """Add a row of exchanges at node v: all of them, or what one sender's drop of t or more asks for."""
+        tables = {}
+        for r, w in here:
+            robot = self.robots[r]
+            h = robot.exchange_of
+            table = np.zeros((len(robot.places), robot.width))
+            if sender is None:
+                table[w] = h
+            elif r == sender:
+                table[w] = -t * (h <= -t)
+            else:
+                table[w] = np.clip(h, 0, t)
+            tables[r] = table
+        row = self._row([], least, INFINITY)
+        if least:
+            self._absent.append(self._stand_in(row))
+        self.features.append(Feature(row, tables))
+
+    def _information(self, most: NDArray[np.int64]) -> None:
+        problem = self.problem
+        free = most.sum(axis=1) > 0
+        self.groups = split_information(problem.information, free, max(self.classes))
+        levels = [
+            levels_of([counts for counts, _ in self.z[i]], self.classes, float(problem.gained[i]))
+            if self.z[i] else [Level((), float(problem.gained[i]), (0,) * len(self.classes))]
+            for i in range(len(problem.candidates))
+        ]  # fmt: skip
+        self._precisions = [
+            np.array([problem.gained[i] + sum(n * p for n, p in zip(counts, self.classes, strict=True))
+                      for counts, _ in self.z[i]]) for i in range(len(problem.candidates))
+        ]  # fmt: skip
+        self._theta = [self._column(1.0, 0.0, INFINITY, []) for _ in self.groups]
+        information = problem.information
+        self._envelopes = [
+            Envelope(type(information)(information.k_vv, g.information.k_tv, g.information.k_tt,
+                                       g.information.weights), levels)
+            for g in self.groups
+        ]  # fmt: skip
+
+    # columns
+
+    def add(self, r: int, codes: Codes) -> bool:
+        """Add a schedule; return False where it is known already."""
+        robot = self.robots[r]
+        key = codes.tobytes()
+        if key in robot.known:
+            return False
+        cells = np.arange(len(robot.places)) * robot.width + codes + robot.capacity
+        values = self._tables[r][:, cells].sum(axis=1)
+        terms = [(self._convexity[r], 1.0)]
+        terms += [(int(self._feature_rows[f]), float(values[f])) for f in np.flatnonzero(values)]
+        taken = robot.taken_of[codes + robot.capacity]
+        for pair, (w, x) in self._pair_places[r].items():
+            if taken[w] and taken[x]:
+                terms.append((self._pair[pair][1], float(taken[w] * taken[x])))
+        robot.known[key] = len(self.columns)
+        self.columns.append(Column(r, codes.copy(), self._column(0.0, 0.0, INFINITY, terms)))
+        return True
+
+    def impose(self, branch: Branch) -> None:
+        """Set the bounds of a node of the tree."""
+        index, lower, upper = [], [], []
+        for r, robot in enumerate(self.robots):
+            own = [column for column in self.columns if column.robot == r]
+            codes = np.array([column.codes for column in own]) + robot.capacity
+            closed = branch.forbidden[r][np.arange(len(robot.places)), codes].any(axis=1) if own else []
+            for column, shut in zip(own, closed, strict=True):
+                if column.closed != shut:
+                    column.closed = bool(shut)
+                    index.append(column.column)
+                    lower.append(0.0)
+                    upper.append(0.0 if shut else INFINITY)
+        for key, n in self.n.items():
+            low, high = branch.counts.get(key, (0.0, INFINITY))
+            index.append(n)
+            lower.append(low)
+            upper.append(high)
+        for i, own_levels in enumerate(self.z):
+            for s, (_, z) in enumerate(own_levels):
+                low, high = branch.levels.get((i, s), (0.0, 1.0))
+                index.append(z)
+                lower.append(low)
+                upper.append(high)
+        self._solver.changeColsBounds(
+            len(index), np.array(index, dtype=np.int32), np.array(lower), np.array(upper)
+        )
+
+    # solving
+
+    def solve(self) -> Point | None:
+        """Solve as it stands; None where that fails."""
+        self._solver.run()
+        if self._solver.getModelStatus() != highspy.HighsModelStatus.kOptimal:
+            self._solver.clearSolver()
+            self._solver.run()
+            if self._solver.getModelStatus() != highspy.HighsModelStatus.kOptimal:
+                return None
+        solution = self._solver.getSolution()
+        x, dual = np.array(solution.col_value), np.array(solution.row_dual)
+        missing = float(sum(x[column] for column in self._absent))
+        return Point(float(self._solver.getInfo().objective_function_value), x, dual, missing)
+
+    def gains(self, dual: FloatArray, r: int) -> FloatArray:
+        """Return what each code at each place of robot r is worth, shape (P, C)."""
+        robot = self.robots[r]
+        return (dual[self._feature_rows] @ self._tables[r]).reshape(len(robot.places), robot.width)
+
+    def pair_gains(self, dual: FloatArray, r: int) -> tuple[NDArray[np.int64], NDArray[np.int64], FloatArray]:
+        """Return places u, v of the pairs that robot r counts in, and the value of a sample at both."""
+        rows = [(w, x, dual[self._pair[pair][1]]) for pair, (w, x) in self._pair_places[r].items()]
+        rows = [entry for entry in rows if entry[2] != 0.0]
+        return (
+            np.array([w for w, _, _ in rows], dtype=np.int64),
+            np.array([x for _, x, _ in rows], dtype=np.int64),
+            np.array([value for _, _, value in rows], dtype=float),
+        )
+
+    def least_value(self, dual: FloatArray, r: int) -> float:
+        """Return the value above which a schedule of robot r lowers the objective."""
+        return -float(dual[self._convexity[r]])
+
+    # cuts
+
+    def cut(self, point: Point, tolerance: float) -> int:
+        """Add the cuts of J that the point violates by more than a share of J; return their number."""
+        share = [point.x[[column for _, column in own]] if own else np.zeros(0) for own in self.z]
+        together = self._together(point)
+        found = 0
+        for g, theta in enumerate(self._theta):
+            least = point.x[theta] + tolerance * max(point.value, 1e-9) / len(self._theta)
+            found += self._tangent(g, share, least) + self._envelope(g, share, together, least)
+        return found
+
+    def _tangent(self, g: int, share: list[FloatArray], least: float) -> int:
+        group = self.groups[g]
+        base = group.scaled(self.problem.gained)
+        steps = [own / (1.0 + group.share[i] * own) - base[i] for i, own in enumerate(self._precisions)]
+        q = base + np.array(
+            [float(step @ part) if len(step) else 0.0 for step, part in zip(steps, share, strict=True)]
+        )
+        value, slope = group.information.value_and_gradient(q)
+        if value <= least:
+            return 0
+        terms = [(self._theta[g], 1.0)]
+        for i, own in enumerate(self.z):
+            terms += [(column, -float(slope[i] * step)) for (_, column), step in zip(own, steps[i], strict=True)
+                      if abs(slope[i] * step) > 1e-12]  # fmt: skip
+        self._cuts.append(LiveCut(self._row(terms, float(value - slope @ (q - base)), INFINITY)))
+        return 1
+
+    def _envelope(self, g: int, share: list[FloatArray], together: dict[Pair, float], least: float) -> int:
+        cut = self._envelopes[g].separate(share, together)
+        if cut is None:
+            return 0
+        value = cut.constant + sum(slope * share[i][s] for (i, s), slope in cut.slopes.items())
+        value += sum(slope * together.get(pair, 0.0) for pair, slope in cut.pairs.items())
+        if value <= least:
+            return 0
+        terms = [(self._theta[g], 1.0)]
+        terms += [(self.z[i][s][1], -slope) for (i, s), slope in cut.slopes.items()]
+        terms += [(self._pair_column(pair), -slope) for pair, slope in cut.pairs.items()]
+        self._cuts.append(LiveCut(self._row(terms, cut.constant, INFINITY)))
+        return 1
+
+    def _together(self, point: Point) -> dict[Pair, float]:
+        """Return E[n_u n_v] as far as listed schedules bring it about."""
+        found: dict[Pair, float] = {}
+        for column in self.columns:
+            part = point.x[column.column] if column.column < len(point.x) else 0.0
+            robot = self.robots[column.robot]
+            if part < 1e-9 or robot.pool is None:
+                continue
+            taken = robot.taken_of[column.codes + robot.capacity]
+            sampled = sorted((self.position[robot.places[w]], int(taken[w])) for w in np.flatnonzero(taken))
+            for (u, a), (v, b) in itertools.combinations(sampled, 2):
+                pair = (self.class_of[column.robot], u, v)
+                if pair in self._pair and pair not in self._pair_places[column.robot]:
+                    continue  # the row was made before this robot's schedules were listed
+                found[pair] = found.get(pair, 0.0) + part * a * b
+        return found
+
+    def _pair_column(self, pair: Pair) -> int:
+        """Return the column of E[n_u n_v] >= what the listed schedules of the class bring about."""
+        if pair not in self._pair:
+            k, u, v = pair
+            nodes = self.problem.candidates[u], self.problem.candidates[v]
+            row = self._row([], -INFINITY, 0.0)
+            self._pair[pair] = (self._column(0.0, 0.0, INFINITY, [(row, -1.0)]), row)
+            for r, robot in enumerate(self.robots):
+                if self.class_of[r] == k and robot.pool is not None and set(nodes) <= set(robot.places):
+                    self._pair_places[r][pair] = robot.places.index(nodes[0]), robot.places.index(nodes[1])
+            for column in self.columns:
+                places = self._pair_places[column.robot].get(pair)
+                if places:
+                    robot = self.robots[column.robot]
+                    taken = robot.taken_of[column.codes + robot.capacity]
+                    product = int(taken[places[0]] * taken[places[1]])
+                    if product:
+                        self._solver.changeCoeff(row, column.column, float(product))
+        return self._pair[pair][0]
+
+    def forbid(self, counts: dict[tuple[int, int], int]) -> None:
+        """Forbid all plans that take at least so many samples of each class at each candidate."""
+        terms = []
+        nodes = sorted({i for _, i in counts})
+        for i in nodes:
+            wanted = {k: n for (k, j), n in counts.items() if j == i}
+            terms += [
+                (column, 1.0) for own, column in self.z[i] if all(own[k] >= n for k, n in wanted.items())
+            ]
+        self._row(terms, -INFINITY, float(len(nodes) - 1))
+
+    def drop_idle(self, point: Point) -> None:
+        """Drop cuts that have not been active for long."""
+        for cut in self._cuts:
+            cut.idle = 0 if abs(point.dual[cut.row]) > 1e-9 else cut.idle + 1
+        gone = sorted(cut.row for cut in self._cuts if cut.idle > _IDLE_ROUNDS)
+        if len(gone) < 60:
+            return
+        self._solver.deleteRows(len(gone), np.array(gone, dtype=np.int32))
+        rows = np.array(gone)
+        self._rows -= len(gone)
+        self._cuts = [
+            LiveCut(_moved(cut.row, rows), cut.idle) for cut in self._cuts if cut.idle <= _IDLE_ROUNDS
+        ]
+        self._pair = {pair: (column, _moved(row, rows)) for pair, (column, row) in self._pair.items()}
+
+
+def _moved(row: int, gone: NDArray[np.int64]) -> int:
+    return row - int(np.searchsorted(gone, row))

@@ -1,0 +1,211 @@
+"""One robot's schedules: what it takes and exchanges where, in whatever order its energy allows.
+
+A schedule is a vector of operation codes, one for each place (see `labels`). For J only these matter; the
+order of the stops decides whether the energy suffices, and the cheapest order is found by labelling. What is
+picked beyond what is dropped need not be picked, so exchanges are capabilities: `without_dominated`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from malipp_field.field import FloatArray
+from malipp_field.planner.labels import (
+    Actor,
+    complete_schedules,
+    enumerate_labels,
+    price_labels,
+    scan,
+    without_dominated,
+)
+from malipp_field.planner.problem import Problem
+
+Codes = NDArray[np.int16]
+
+_FIRST_ROOM = 400_000
+"""Labels allowed for listing all schedules of a robot outright."""
+_PRICING_ROOM = 1_500_000
+_AT_ONCE = 40
+"""Schedules handed to the master in one round, at most."""
+
+
+@dataclass
+class Pool:
+    """All schedules of a robot that can be part of a better plan."""
+
+    codes: Codes
+    taken: NDArray[np.int16]
+    alive: NDArray[np.bool_]
+    values: FloatArray
+
+
+@dataclass
+class Robot:
+    """A robot's places, codes and, where they could be listed, its schedules.
+
+    Attributes
+    ----------
+    places : tuple of int
+        Nodes, the start first.
+    capacity, samples
+        K and the most samples at one place; there are C = (samples + 1) (2 K + 1) codes.
+    """
+
+    actor: Actor
+    places: tuple[int, ...]
+    precision: float
+    capacity: int
+    samples: int
+    pool: Pool | None = None
+    known: dict[bytes, int] = field(default_factory=dict)
+    """Columns of the master by their codes."""
+
+    @property
+    def width(self) -> int:
+        """C."""
+        return (self.samples + 1) * (2 * self.capacity + 1)
+
+    @property
+    def taken_of(self) -> NDArray[np.int64]:
+        """Return a of every code, shape (C,)."""
+        return np.arange(self.width) // (2 * self.capacity + 1)
+
+    @property
+    def exchange_of(self) -> NDArray[np.int64]:
+        """Return h of every code, shape (C,)."""
+        return np.arange(self.width) % (2 * self.capacity + 1) - self.capacity
+
+    def list_all(self, gain: FloatArray, least: float, room: int = _FIRST_ROOM) -> bool:
+        """List all schedules of value ``least`` or more, unless there are too many; tell whether it is done.
+
+        Raises nothing: False says that more than ``room`` labels would be needed.
+        """
+        count, codes, mask, place, load, energy, _ = enumerate_labels(self.actor, gain, least, room)
+        if count < 0:
+            return False
+        label, _ = complete_schedules(self.actor, count, codes, mask, place, load, energy)
+        found = codes[label]
+        kept = found[without_dominated(found, self.capacity, self.actor.limits, self.actor.most_pick)]
+        self.pool = self._pool(kept)
+        return True
+
+    def keep(self, least: float) -> None:
+        """Forget schedules whose value at the last `price` was below ``least``."""
+        if self.pool is not None:
+            kept = self.pool.values >= least
+            self.pool = self._pool(np.ascontiguousarray(self.pool.codes[kept]))
+
+    def _pool(self, codes: Codes) -> Pool:
+        taken = ((codes + self.capacity) // (2 * self.capacity + 1)).astype(np.int16)
+        return Pool(codes, taken, np.ones(len(codes), dtype=np.bool_), np.zeros(len(codes)))
+
+    def price(
+        self, gain: FloatArray, pairs: tuple[NDArray[np.int64], NDArray[np.int64], FloatArray],
+        least: float, *, exact_load: bool,
+    ) -> tuple[float, list[Codes]]:  # fmt: skip
+        """Return an upper bound on the value of any schedule, and some that are worth more than ``least``.
+
+        Parameters
+        ----------
+        gain : array, shape (P, C)
+            Value of every code; minus infinity forbids it.
+        pairs
+            Places u, v and the value of every pair of samples at them (listed schedules only).
+        exact_load
+            See `labels.price_labels`.
+        """
+        if self.pool is not None:
+            return self._scan(gain, pairs, least)
+        must = sum(1 << w for w in range(len(self.places)) if gain[w, self.capacity] == -np.inf)
+        complete, found, worths, code_of, place, parent = price_labels(
+            self.actor, gain, np.uint64(must), exact_load, least, _PRICING_ROOM
+        )
+        order = np.argsort(-worths, kind="stable")[:_AT_ONCE]
+        best = float(worths[order[0]]) if order.size else least
+        chosen = [self._codes(int(found[k]), code_of, place, parent) for k in order]
+        return (best if complete else np.inf), chosen
+
+    def _scan(
+        self, gain: FloatArray, pairs: tuple[NDArray[np.int64], NDArray[np.int64], FloatArray], least: float
+    ) -> tuple[float, list[Codes]]:
+        pool = self.pool
+        assert pool is not None
+        scan(pool.codes, self.capacity, pool.alive, gain, *pairs, pool.taken, pool.values)
+        good = np.flatnonzero(pool.values > least)
+        if good.size == 0:
+            return max(least, float(pool.values.max(initial=-np.inf))), []
+        if good.size > _AT_ONCE:
+            good = good[np.argpartition(-pool.values[good], _AT_ONCE)[:_AT_ONCE]]
+        return float(pool.values.max()), [pool.codes[k] for k in good]
+
+    def _codes(self, label: int, code_of: Codes, place: Codes, parent: NDArray[np.int32]) -> Codes:
+        codes = np.zeros(len(self.places), dtype=np.int16)
+        while label >= 0:
+            codes[place[label]] = code_of[label]
+            label = int(parent[label])
+        return codes
+
+    def order(self, codes: Codes) -> tuple[list[int], float]:
+        """Return the places of the cheapest route with these operations (depots included), and its energy."""
+        gain = np.full((len(self.places), self.width), -np.inf)
+        for w, code in enumerate(codes):
+            gain[w, code + self.capacity] = 1.0 if code else 0.0
+        room = 20_000
+        while True:
+            count, listed, mask, place, load, energy, parent = enumerate_labels(
+                self.actor, gain, float(np.count_nonzero(codes)), room
+            )
+            if count >= 0:
+                break
+            room *= 8
+        label, spent = complete_schedules(self.actor, count, listed, mask, place, load, energy)
+        match = [k for k in range(len(label)) if (listed[label[k]] == codes).all()]
+        assert match, "a schedule without an order"
+        best = min(match, key=lambda k: float(spent[k]))
+        route, at = [], int(label[best])
+        while at >= 0:
+            route.append(int(place[at]))
+            at = int(parent[at])
+        return route[::-1], float(spent[best])
+
+
+def robots_of(problem: Problem) -> list[Robot]:
+    """Return the team in the terms of the labelling."""
+    return [_robot(problem, r) for r in range(len(problem.robots))]
+
+
+def _robot(problem: Problem, r: int) -> Robot:
+    view = problem.robots[r]
+    places = view.places
+    cost = np.ascontiguousarray(view.closure.energy_per_kg[np.ix_(places, places)])
+    np.fill_diagonal(cost, 0.0)
+    ends = view.closure.energy_per_kg
+    home = np.array([
+        min((ends[u, d] for d in view.depots if d != u or w == 0), default=np.inf)
+        for w, u in enumerate(places)
+    ])  # fmt: skip
+    if view.start in view.depots:
+        home[0] = 0.0
+    depot = np.array([v in view.depots for v in places])
+    stock = {v: sum(s.count for s in problem.stocks if s.node == v) for v in places}
+    taken_over, handed_over = dict.fromkeys(places, 0), dict.fromkeys(places, 0)
+    for o, other in enumerate(problem.robots):
+        if o != r:
+            for v in problem.shared(r, o):
+                taken_over[v] += other.capacity
+            for v in problem.shared(o, r):
+                # who may unload at a node has no reason to leave something there for others
+                handed_over[v] += 0 if v in other.depots else other.capacity
+    most_drop = [0 if v in view.depots else min(view.capacity, taken_over[v]) for v in places]
+    most_pick = [min(view.capacity, handed_over[v] + stock[v]) for v in places]
+    limits = [min(int(view.limits[v]), view.capacity) for v in places]
+    actor = Actor(
+        cost=cost, home=home, empty_mass=float(view.empty_mass_kg), sample_mass=float(problem.sample_mass_kg),
+        budget=float(view.budget_j), capacity=int(view.capacity), on_board=int(view.on_board),
+        limits=np.array(limits, dtype=np.int64), most_drop=np.array(most_drop, dtype=np.int64),
+        most_pick=np.array(most_pick, dtype=np.int64), depot=depot,
+    )  # fmt: skip
+    return Robot(actor, places, view.precision, int(view.capacity), max(limits))

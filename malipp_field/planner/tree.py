@@ -1,0 +1,447 @@
+"""Branch and price over whole-robot schedules: the exact method.
+
+The master (`malipp_field.planner.master`) is solved with the schedules priced so far; pricing adds schedules,
+the gap of J adds cuts, and where the solution is still fractional the tree branches: on the samples of a
+sensor class at a candidate, on whether a robot drops, picks or samples somewhere. A bound is proven at any
+moment, since what no schedule can lower is known from the pricing even before it has converged (Lagrange).
+"""
+
+from __future__ import annotations
+
+import heapq
+import itertools
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from malipp_field.field import FloatArray
+from malipp_field.planner.progress import Result, Search, relative_gap
+from malipp_field.planner.stages import plan_of_precision
+from malipp_field.planner.extract import TeamPlan
+from malipp_field.planner.improve import Improver
+from malipp_field.planner.master import Branch, Master, Point
+from malipp_field.planner.problem import Problem
+from malipp_field.planner.realise import realise
+from malipp_field.planner.schedules import Codes, robots_of
+
+_NOTHING = -1e300
+"""Less than any schedule is worth."""
+_TOLERANCE = 0.1
+"""Part of the gap asked for by which a cut of J has to be violated to be added."""
+_INTEGRAL = 1e-6
+_LIST_ROOM = 4_000_000
+_FIRST_IMPROVEMENTS = 400
+_IMPROVEMENTS = 20
+_STRONG = 6
+"""Candidates for branching that are tried before one is chosen."""
+
+
+@dataclass(order=True)
+class _Open:
+    bound: float
+    number: int
+    branch: Branch
+    point: Point
+
+
+class ColumnStage:
+    """The first stage, minimise J, by branch and price."""
+
+    def __init__(self, problem: Problem, search: Search, start: TeamPlan | None) -> None:
+        self.problem, self.search = problem, search
+        self.best = start
+        self.bound = 0.0
+        self.rounds = 0
+        self._improver = Improver(problem, search.seed)
+        self._robots = robots_of(problem)
+        self._numbers = itertools.count()
+        self._open: list[_Open] = []
+        self._undecided = np.inf
+        """Least bound of nodes that could be neither solved nor branched."""
+
+    # what is known
+
+    @property
+    def cutoff(self) -> float:
+        """The bound from which on nothing better than the gap asked for can follow."""
+        if self.best is None:
+            return np.inf
+        return self.best.information * (1.0 - self.search.gap) - 1e-12
+
+    @property
+    def most(self) -> float:
+        """An upper bound on J."""
+        return self.problem.information.prior if self.best is None else self.best.information
+
+    @property
+    def stopped(self) -> bool:
+        """Whether the effort is used up."""
+        work = self.search.work
+        return self.search.effort.over or (work is not None and self.rounds >= work)
+
+    def _tell(self, stage: str) -> None:
+        self.search.tell(stage, self.best, self.bound, self.rounds)
+
+    def _offer(self, team: TeamPlan | None) -> None:
+        if team is not None and (self.best is None or team.rank < self.best.rank):
+            self.best = team
+            self._learn(team)
+            self._tell("branch and price")
+
+    def _learn(self, team: TeamPlan) -> None:
+        """Add a plan's schedules to the master."""
+        for r, codes in enumerate(self._schedules(team)):
+            if not self._robots[r].pool:
+                self.master.add(r, codes)
+
+    def _schedules(self, team: TeamPlan) -> list[Codes]:
+        found = []
+        for robot, route in zip(self._robots, team.routes, strict=True):
+            codes = np.zeros(len(robot.places), dtype=np.int16)
+            for visit in route if len(route) == 1 else route[:-1]:
+                exchange = sum(visit.pick.values()) + sum(visit.fetch.values()) - sum(visit.drop.values())
+                codes[robot.places.index(visit.node)] += visit.collect * (2 * robot.capacity + 1) + exchange
+            found.append(codes)
+        return found
+
+    # the search
+
+    def run(self) -> Result:
+        """Search until the gap is closed or the effort is used up."""
+        everything = [np.zeros((len(robot.places), robot.width)) for robot in self._robots]
+        for robot, gain in zip(self._robots, everything, strict=True):
+            robot.list_all(gain, _NOTHING)
+            if robot.pool is not None and not len(robot.pool.codes):
+                return Result(None, np.inf, proven=True, infeasible=True)
+        self.master = Master(self.problem, self._robots)
+        if self.best is None:
+            self.best = self._improver.construct()
+        self._improve(_FIRST_IMPROVEMENTS)
+        if self.best is not None:
+            self._learn(self.best)
+        root = Branch([np.zeros((len(robot.places), robot.width), dtype=bool) for robot in self._robots])
+        point = self._root(root)
+        if point is not None and self.bound < self.cutoff:
+            self._push(self.bound, root, point)
+            self._dive(root, point)
+            self._grow()
+        elif point is None and not self.stopped and self.best is None:
+            return Result(None, np.inf, proven=True, infeasible=True)
+        if not self._open and not self.stopped:
+            self.bound = max(self.bound, min(self.cutoff, self._undecided))
+        if self.best is None:
+            done = not self._open and not self.stopped and np.isinf(self._undecided)
+            return Result(None, self.bound, proven=done, infeasible=done)
+        self.bound = min(self.bound, self.best.information)
+        gap = relative_gap(self.best.information, self.bound)
+        proven = self.best.information <= 1e-9 or (gap is not None and gap <= self.search.gap * 1.0001)
+        self._tell("branch and price")
+        return Result(self.best, self.bound, proven=proven)
+
+    def _root(self, root: Branch) -> Point | None:
+        """Solve the root, forget schedules that cannot be part of a better plan, and list what was priced."""
+        point, before = None, -1.0
+        while not self.stopped:
+            bound, point = self._solve(root, rounds=60)
+            self.bound = max(self.bound, min(bound, np.inf if self.best is None else self.best.information))
+            self._tell("root")
+            if point is None or self.best is None:
+                return point
+            news = self._fix(point, bound)
+            if not news and bound - before < 0.1 * (self.best.information - bound):
+                return point
+            before = bound
+        return point
+
+    def _fix(self, point: Point, bound: float) -> bool:
+        """Keep the schedules whose reduced cost is within the gap; return whether a robot's were listed anew."""
+        news = False
+        assert self.best is not None
+        room = self.best.information - bound
+        for r, robot in enumerate(self._robots):
+            least = self.master.least_value(point.dual, r) - room - 1e-9
+            gain = self.master.gains(point.dual, r)
+            if robot.pool is not None:
+                robot.price(gain, self.master.pair_gains(point.dual, r), least, exact_load=False)
+                robot.keep(least)
+            elif robot.list_all(gain, least, _LIST_ROOM):
+                news = True
+        return news
+
+    def _grow(self) -> None:
+        """Branch until nothing is open."""
+        while self._open and not self.stopped:
+            node = heapq.heappop(self._open)
+            self.bound = max(self.bound, min(node.bound, self.cutoff))
+            if node.bound >= self.cutoff:
+                self._open.clear()
+                break
+            self.rounds += 1
+            if not self._branch(node):
+                heapq.heappush(self._open, node)
+                break
+            if self.rounds % 10 == 0:
+                self._improve(_IMPROVEMENTS)
+                self._tell("branch and price")
+        if self._open:
+            self.bound = max(self.bound, min(self._open[0].bound, self.cutoff))
+
+    def _branch(self, node: _Open) -> bool:
+        """Solve the children of a node; return False where the effort was used up before."""
+        children = self._children(node)
+        solved = []
+        for child in children:
+            bound, point = self._solve(child, rounds=12)
+            if self.stopped and bound < self.cutoff:
+                return False
+            solved.append((max(bound, node.bound), child, point))
+        for bound, child, point in solved:
+            if point is not None and bound < self.cutoff:
+                self._push(bound, child, point)
+        return True
+
+    def _push(self, bound: float, branch: Branch, point: Point) -> None:
+        chosen = self._integral(point)
+        if chosen is None:
+            heapq.heappush(self._open, _Open(bound, next(self._numbers), branch, point))
+            return
+        team = realise(self.problem, self._robots, chosen)
+        if team is not None:
+            self._offer(team)
+            if bound >= self.cutoff:
+                return
+        self._settle(bound, branch, point, chosen, team)
+
+    def _settle(
+        self, bound: float, branch: Branch, point: Point, chosen: list[Codes], team: TeamPlan | None
+    ) -> None:
+        """Deal with an integral point that has no plan yet, or whose J is not the master's yet."""
+        if team is None:
+            counts = self._counts(chosen)
+            team, impossible = plan_of_precision(self.problem, self.search, self._precision(counts))
+            self._offer(team)
+            if team is None and not impossible:
+                self._undecided = min(self._undecided, bound)
+                return
+            if impossible:
+                self.master.forbid(counts)
+            elif bound >= self.cutoff:
+                return
+        again, new = self._solve(branch, rounds=60)
+        if new is not None and again < self.cutoff:
+            heapq.heappush(self._open, _Open(max(bound, again), next(self._numbers), branch, new))
+
+    def _counts(self, chosen: list[Codes]) -> dict[tuple[int, int], int]:
+        """Return the samples of each class at each candidate."""
+        counts: dict[tuple[int, int], int] = {}
+        for r, (robot, codes) in enumerate(zip(self._robots, chosen, strict=True)):
+            taken = robot.taken_of[codes + robot.capacity]
+            for w in np.flatnonzero(taken):
+                key = (self.master.class_of[r], self.master.position[robot.places[w]])
+                counts[key] = counts.get(key, 0) + int(taken[w])
+        return counts
+
+    def _precision(self, counts: dict[tuple[int, int], int]) -> FloatArray:
+        precision = self.problem.gained.copy()
+        for (k, i), n in counts.items():
+            precision[i] += n * self.master.classes[k]
+        return precision
+
+    def _dive(self, branch: Branch, point: Point) -> None:
+        """Fix the schedule of one robot after the other, the surest first."""
+        here = point
+        while not self.stopped:
+            parts = self._parts(here)
+            choice = max(
+                ((part, r, codes) for r, own in parts.items() for part, codes in own if len(own) > 1),
+                key=lambda option: option[0], default=None,
+            )  # fmt: skip
+            if choice is None:
+                chosen = self._integral(here)
+                if chosen is not None:
+                    self._offer(realise(self.problem, self._robots, chosen))
+                return
+            _, r, codes = choice
+            branch = self._only(branch, r, codes)
+            bound, new = self._solve(branch, rounds=3)
+            if new is None or bound >= self.cutoff:
+                return
+            here = new
+
+    def _only(self, branch: Branch, r: int, codes: Codes) -> Branch:
+        forbidden = [own.copy() if k == r else own for k, own in enumerate(branch.forbidden)]
+        forbidden[r][:] = True
+        forbidden[r][np.arange(len(codes)), codes + self._robots[r].capacity] = False
+        return Branch(forbidden, branch.counts, branch.levels, branch.exact_load | {r})
+
+    def _improve(self, iterations: int) -> None:
+        if self.best is not None:
+            before = self.best
+            self.best = self._improver.improve(before, iterations, self.search.effort)
+            if self.best is not before:
+                self._learn(self.best)
+                self._tell("ruin and recreate")
+
+    # one node
+
+    def _solve(self, branch: Branch, rounds: int) -> tuple[float, Point | None]:
+        """Return the bound of a node and its solution; None where it is pruned or has none."""
+        master, bound, cuts, slow = self.master, 0.0, 0, 0
+        master.impose(branch)
+        while True:
+            point = master.solve()
+            if point is None:
+                return np.inf, None
+            lower, added = self._price(branch, point)
+            gained = lower - bound
+            bound = max(bound, lower)
+            if bound >= self.cutoff:
+                return bound, None
+            if self.stopped:
+                return bound, point
+            if added:
+                continue
+            cuts += 1
+            slow = slow + 1 if gained < 0.01 * (self.most - bound) else 0
+            if cuts > rounds or slow >= 3:
+                break
+            if not master.cut(point, max(1e-9, _TOLERANCE * self.search.gap)):
+                break
+        master.drop_idle(point)
+        if point.missing > _INTEGRAL and not self._fractional(point):
+            return np.inf, None
+        return bound, point
+
+    def _price(self, branch: Branch, point: Point) -> tuple[float, bool]:
+        """Add schedules that lower the master's objective; return a bound on J and whether any were added."""
+        bound, added, total = point.value, False, 0.0
+        todo = sorted(range(len(self._robots)), key=lambda r: self._robots[r].pool is None)
+        for r in todo:
+            robot = self._robots[r]
+            if robot.pool is None and added:
+                return 0.0, True  # listing is quick: first what it gives
+            gain = np.where(branch.forbidden[r], -np.inf, self.master.gains(point.dual, r))
+            least = self.master.least_value(point.dual, r)
+            most, found = robot.price(
+                gain, self.master.pair_gains(point.dual, r), least + 1e-7, exact_load=r in branch.exact_load
+            )
+            total += max(0.0, most - least)
+            for codes in found:
+                added |= self.master.add(r, codes)
+        return bound - total, added and total > 1e-6 * max(1.0, point.value)
+
+    def _parts(self, point: Point) -> dict[int, list[tuple[float, Codes]]]:
+        """Return the schedules in use and their shares, by robot."""
+        parts: dict[int, list[tuple[float, Codes]]] = {r: [] for r in range(len(self._robots))}
+        for column in self.master.columns:
+            if column.column < len(point.x) and point.x[column.column] > _INTEGRAL:
+                parts[column.robot].append((float(point.x[column.column]), column.codes))
+        return parts
+
+    def _fractional(self, point: Point) -> bool:
+        return any(len(own) > 1 for own in self._parts(point).values())
+
+    def _integral(self, point: Point) -> list[Codes] | None:
+        parts = self._parts(point)
+        if point.missing > _INTEGRAL or any(len(own) != 1 for own in parts.values()):
+            return None
+        if self._split_levels(point):
+            return None
+        return [parts[r][0][1] for r in range(len(self._robots))]
+
+    # branching
+
+    def _children(self, node: _Open) -> list[Branch]:
+        """Return the two sides of the best of some decisions."""
+        options = self._options(node)
+        if not options:
+            self._undecided = min(self._undecided, node.bound)
+            return []
+        if len(options) == 1:
+            return self._sides(node.branch, options[0][1])
+        best: tuple[float, list[Branch]] | None = None
+        for _, decision in options[:_STRONG]:
+            sides = self._sides(node.branch, decision)
+            rise = []
+            for side in sides:
+                self.master.impose(side)
+                point = self.master.solve()
+                value = self.cutoff if point is None else min(point.value, 2 * self.cutoff)
+                rise.append(max(value - node.point.value, 1e-6 * node.point.value))
+            score = min(rise) * max(rise) if np.isfinite(rise).all() else sum(rise)
+            if best is None or score > best[0]:
+                best = (score, sides)
+        assert best is not None
+        return best[1]
+
+    def _options(self, node: _Open) -> list[tuple[float, tuple[object, ...]]]:
+        """Return decisions that the point does not keep, the most open first."""
+        point, found = node.point, []
+        for key, n in self.master.n.items():
+            value = float(point.x[n])
+            part = value - np.floor(value)
+            if _INTEGRAL < part < 1 - _INTEGRAL:
+                found.append((1.2 * min(part, 1 - part), ("count", key, int(np.floor(value)))))
+        for r, own in self._parts(point).items():
+            if len(own) > 1:
+                found += self._robot_options(r, own)
+        for i, s in self._split_levels(point):
+            found.append((0.01, ("level", (i, s))))
+        found.sort(key=lambda option: -option[0])
+        return found
+
+    def _split_levels(self, point: Point) -> list[tuple[int, int]]:
+        """Return candidates whose whole counts are made up of several levels, with the level of those counts."""
+        split = []
+        for i, own in enumerate(self.master.z):
+            if not own or not any(_INTEGRAL < point.x[z] < 1 - _INTEGRAL for _, z in own):
+                continue
+            counts = tuple(
+                round(float(point.x[self.master.n[k, i]])) if (k, i) in self.master.n else 0
+                for k in range(len(self.master.classes))
+            )
+            split += [(i, s) for s, (levels, _) in enumerate(own) if levels == counts]
+        return split
+
+    def _robot_options(
+        self, r: int, own: list[tuple[float, Codes]]
+    ) -> list[tuple[float, tuple[object, ...]]]:
+        robot = self._robots[r]
+        shares = np.array([share for share, _ in own])
+        codes = np.array([codes for _, codes in own]) + robot.capacity
+        exchange, taken = robot.exchange_of[codes], robot.taken_of[codes]
+        found: list[tuple[float, tuple[object, ...]]] = []
+        for w in range(len(robot.places)):
+            for t in range(1, robot.capacity + 1):
+                for kind, hit, weight in (
+                    ("drop", exchange[:, w] <= -t, 1.0), ("pick", exchange[:, w] >= t, 0.9),
+                    ("take", taken[:, w] >= t, 0.7),
+                ):  # fmt: skip
+                    part = float(shares @ hit)
+                    if _INTEGRAL < part < shares.sum() - _INTEGRAL:
+                        found.append((weight * min(part, 1 - part) / t**0.5, (kind, r, w, t)))
+        return found
+
+    def _sides(self, branch: Branch, decision: tuple[object, ...]) -> list[Branch]:
+        kind = decision[0]
+        if kind == "count":
+            _, key, floor = decision
+            lower, upper = branch.counts.get(key, (0.0, np.inf))  # type: ignore[call-overload]
+            return [
+                replace(branch, counts=branch.counts | {key: (lower, float(floor))}),  # type: ignore[dict-item,arg-type]
+                replace(branch, counts=branch.counts | {key: (float(floor) + 1, upper)}),  # type: ignore[dict-item,arg-type]
+            ]
+        if kind == "level":
+            return [replace(branch, levels=branch.levels | {decision[1]: (v, v)}) for v in (1.0, 0.0)]  # type: ignore[dict-item]
+        _, r, w, t = decision
+        robot = self._robots[r]  # type: ignore[index]
+        hit = {
+            "drop": robot.exchange_of <= -t, "pick": robot.exchange_of >= t, "take": robot.taken_of >= t,  # type: ignore[operator]
+        }[str(kind)]  # fmt: skip
+        sides = []
+        for side in (hit, ~hit):
+            forbidden = [own.copy() if k == r else own for k, own in enumerate(branch.forbidden)]
+            forbidden[r][w] |= side  # type: ignore[index]
+            exact = branch.exact_load | {r} if kind == "drop" and side is not hit else branch.exact_load
+            sides.append(replace(branch, forbidden=forbidden, exact_load=exact))  # type: ignore[arg-type]
+        return sides
