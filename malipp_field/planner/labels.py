@@ -352,8 +352,8 @@ def price_labels(actor, gain, must, exact_load, least, room):  # type: ignore[no
 
     Returns
     -------
-    Whether the search was complete, labels of schedules found, their values, and the labels' code, place and
-    parent.
+    An upper bound on the value of schedules that were not found (no more than ``least`` when the search was
+    complete), labels of schedules found, their values, and the labels' code, place and parent.
     """
     P = actor.cost.shape[0]
     K = actor.capacity
@@ -467,7 +467,12 @@ def price_labels(actor, gain, must, exact_load, least, room):  # type: ignore[no
                     if beaten:
                         continue
                     if count >= room:
-                        return False, found[:n_found], worths[:n_found], code_of, place, parent
+                        open_value = new + rest
+                        for j in range(max(i, 0), count):
+                            if not dead[j]:
+                                at = bound[place[j], load[j], _level(limit - energy[j], step, slack, levels)]
+                                open_value = max(open_value, value[j] + at)
+                        return open_value, found[:n_found], worths[:n_found], code_of, place, parent
                     k = count
                     mask[k], place[k], load[k], code_of[k] = seen_now, v, after, code - K
                     energy[k], value[k], parent[k] = spent, new, i
@@ -481,7 +486,7 @@ def price_labels(actor, gain, must, exact_load, least, room):  # type: ignore[no
                         found[n_found], worths[n_found] = k, new
                         n_found += 1
         i += 1
-    return True, found[:n_found], worths[:n_found], code_of, place, parent
+    return least, found[:n_found], worths[:n_found], code_of, place, parent
 
 
 @njit(cache=True)

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from malipp_field.field import FloatArray
 from malipp_field.planner.cuts import split_information
-from malipp_field.planner.envelope import Cut, Envelope, Level, Pair, levels_of
+from malipp_field.planner.envelope import Envelope, Level, Pair, levels_of
 from malipp_field.planner.linear import INFINITY
 from malipp_field.planner.problem import Problem
 from malipp_field.planner.schedules import Codes, Robot
@@ -107,7 +107,10 @@ class Master:
         self.n: dict[tuple[int, int], int] = {}
         self.z: list[list[tuple[tuple[int, ...], int]]] = [[] for _ in problem.candidates]
         self._solver = highspy.Highs()
-        for option, value in (("output_flag", False), ("threads", 1), ("presolve", "off")):
+        for option, value in (
+            ("output_flag", False), ("threads", 1), ("presolve", "off"),
+            ("primal_feasibility_tolerance", 1e-9), ("dual_feasibility_tolerance", 1e-9),
+        ):  # fmt: skip
             self._solver.setOptionValue(option, value)
         self._rows = self._cols = 0
         self._cuts: list[LiveCut] = []

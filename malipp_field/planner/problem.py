@@ -119,6 +119,24 @@ class Problem:
         return found
 
 
+def in_units(problem: Problem) -> tuple[Problem, float]:
+    """Return the same problem with variances and J of the order of one, and the unit of J.
+
+    Solvers work with absolute tolerances; a field may be measured in any unit.
+    """
+    information = problem.information
+    unit = information.prior or 1.0
+    variance = float(np.diag(information.k_vv).max(initial=0.0)) or 1.0
+    scaled = Information(
+        information.k_vv / variance,
+        information.k_tv / variance,
+        information.k_tt / variance,
+        information.weights * (variance / unit),
+    )
+    robots = tuple(replace(robot, precision=robot.precision * variance) for robot in problem.robots)
+    return replace(problem, information=scaled, robots=robots, gained=problem.gained * variance), unit
+
+
 def within(energy_j: float, budget_j: float) -> bool:
     """Tell whether an energy keeps to a budget, rounding errors of exact arithmetic forgiven."""
     return bool(energy_j <= budget_j * (1.0 + 1e-9) + 1e-12)

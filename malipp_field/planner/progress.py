@@ -23,6 +23,14 @@ class Progress:
     gap: float | None
     rounds: int
 
+    def times(self, unit: float) -> Progress:
+        """Return the same with J measured in other units."""
+        return replace(
+            self,
+            incumbent=None if self.incumbent is None else unit * self.incumbent,
+            bound=None if self.bound is None else unit * self.bound,
+        )
+
 
 @dataclass(frozen=True)
 class Search:

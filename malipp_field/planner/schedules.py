@@ -27,7 +27,8 @@ Codes = NDArray[np.int16]
 
 _FIRST_ROOM = 400_000
 """Labels allowed for listing all schedules of a robot outright."""
-_PRICING_ROOM = 1_500_000
+_PRICING_ROOMS = (15_000, 60_000, 240_000)
+"""Labels allowed for pricing, one after the other until something is found or nothing is left to find."""
 _AT_ONCE = 40
 """Schedules handed to the master in one round, at most."""
 
@@ -60,6 +61,8 @@ class Robot:
     capacity: int
     samples: int
     pool: Pool | None = None
+    twins: tuple[int, ...] = ()
+    """Robots, itself included, that could stand in for each other everywhere."""
     known: dict[bytes, int] = field(default_factory=dict)
     """Columns of the master by their codes."""
 
@@ -120,13 +123,15 @@ class Robot:
         if self.pool is not None:
             return self._scan(gain, pairs, least)
         must = sum(1 << w for w in range(len(self.places)) if gain[w, self.capacity] == -np.inf)
-        complete, found, worths, code_of, place, parent = price_labels(
-            self.actor, gain, np.uint64(must), exact_load, least, _PRICING_ROOM
-        )
+        for room in _PRICING_ROOMS:
+            rest, found, worths, code_of, place, parent = price_labels(
+                self.actor, gain, np.uint64(must), exact_load, least, room
+            )
+            if found.size or rest <= least:
+                break
         order = np.argsort(-worths, kind="stable")[:_AT_ONCE]
-        best = float(worths[order[0]]) if order.size else least
         chosen = [self._codes(int(found[k]), code_of, place, parent) for k in order]
-        return (best if complete else np.inf), chosen
+        return max(rest, float(worths.max(initial=least))), chosen
 
     def _scan(
         self, gain: FloatArray, pairs: tuple[NDArray[np.int64], NDArray[np.int64], FloatArray], least: float
@@ -174,7 +179,16 @@ class Robot:
 
 def robots_of(problem: Problem) -> list[Robot]:
     """Return the team in the terms of the labelling."""
-    return [_robot(problem, r) for r in range(len(problem.robots))]
+    robots = [_robot(problem, r) for r in range(len(problem.robots))]
+    for robot in robots:
+        robot.twins = tuple(o for o, other in enumerate(robots) if _alike(robot, other))
+    return robots
+
+
+def _alike(one: Robot, other: Robot) -> bool:
+    return (one.places, one.precision) == (other.places, other.precision) and all(
+        np.array_equal(a, b) for a, b in zip(one.actor, other.actor, strict=True)
+    )
 
 
 def _robot(problem: Problem, r: int) -> Robot:

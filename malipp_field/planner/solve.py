@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from malipp_field.mission import Mission, TeamState
 from malipp_field.mission.schema import Method
@@ -14,12 +14,13 @@ from malipp_field.planner.exact import solve_arcs, solve_exact
 from malipp_field.planner.extract import TeamPlan, Verdict, plan_file, routes_of, team_plan
 from malipp_field.planner.feasibility import obstacle
 from malipp_field.planner.linear import Effort
-from malipp_field.planner.problem import Problem, build_problem
+from malipp_field.planner.problem import Problem, build_problem, in_units
 from malipp_field.planner.progress import Progress, Result, Search, relative_gap
 from malipp_field.planner.sequential import solve_sequential
 from malipp_field.planner.shortage import shortage
 from malipp_field.planner.verify import verify
 
+Engine = Callable[[Problem, Search, TeamPlan | None], Result]
 _SEQUENTIAL_SHARE = 0.1
 """Of the time limit, for the Seq-LIPP plan the exact search begins with."""
 
@@ -130,7 +131,7 @@ def _solve(request: Request) -> Plan:
 
 
 def _sequential(request: Request, problem: Problem) -> Plan:
-    team = solve_sequential(problem, request.search)
+    team = _one_by_one(problem, request.search)
     if team is None:
         return _no_routes(
             request, "no_plan", "robots planned one by one found no plan that brings all samples home"
@@ -141,8 +142,8 @@ def _sequential(request: Request, problem: Problem) -> Plan:
 def _exact(request: Request, problem: Problem, start: TeamPlan | None) -> Plan:
     search = request.search
     if start is None and request.method == "auto":
-        start = solve_sequential(problem, search.share(_SEQUENTIAL_SHARE))
-    result = _engine(request.method)(problem, search, start)
+        start = _one_by_one(problem, search.share(_SEQUENTIAL_SHARE))
+    result = _run(_engine(request.method), problem, search, start)
     if result.infeasible:
         reason = shortage(
             request.mission, request.state, search, handoffs=request.handoffs, closed=request.closed
@@ -156,7 +157,23 @@ def _exact(request: Request, problem: Problem, start: TeamPlan | None) -> Plan:
     return plan_file(request.mission.name, problem, result.team, _verdict(request, status, bound, gap))
 
 
-def _engine(method: Method) -> Callable[[Problem, Search, TeamPlan | None], Result]:
+def _one_by_one(problem: Problem, search: Search) -> TeamPlan | None:
+    def engine(problem: Problem, search: Search, _: TeamPlan | None) -> Result:
+        return Result(solve_sequential(problem, search), 0.0, proven=False)
+
+    return _run(engine, problem, search, None).team
+
+
+def _run(engine: Engine, problem: Problem, search: Search, start: TeamPlan | None) -> Result:
+    """Run an engine in its own units (`in_units`) and return what it found in those of the mission."""
+    scaled, unit = in_units(problem)
+    told = replace(search, on_progress=lambda progress: search.on_progress(progress.times(unit)))
+    result = engine(scaled, told, None if start is None else team_plan(scaled, start.routes))
+    team = None if result.team is None else team_plan(problem, result.team.routes)
+    return replace(result, team=team, bound=unit * result.bound)
+
+
+def _engine(method: Method) -> Engine:
     if method == "miqp":
         # cvxpy takes a second to import, which no other method should have to wait for
         from malipp_field.planner.literal import solve_literal  # noqa: PLC0415

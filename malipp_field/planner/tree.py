@@ -10,25 +10,27 @@ from __future__ import annotations
 
 import heapq
 import itertools
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from malipp_field.field import FloatArray
-from malipp_field.planner.progress import Result, Search, relative_gap
-from malipp_field.planner.stages import plan_of_precision
+from malipp_field.planner.branching import INTEGRAL, only, options, sides, split_levels
 from malipp_field.planner.extract import TeamPlan
 from malipp_field.planner.improve import Improver
 from malipp_field.planner.master import Branch, Master, Point
 from malipp_field.planner.problem import Problem
+from malipp_field.planner.progress import Result, Search, relative_gap
 from malipp_field.planner.realise import realise
 from malipp_field.planner.schedules import Codes, robots_of
+from malipp_field.planner.stages import plan_of_precision
 
 _NOTHING = -1e300
 """Less than any schedule is worth."""
 _TOLERANCE = 0.1
 """Part of the gap asked for by which a cut of J has to be violated to be added."""
-_INTEGRAL = 1e-6
+_REDUCED_COST = 1e-9
+"""Schedules that lower the objective by less are not looked for; J is at most 1 here (`units`)."""
 _LIST_ROOM = 4_000_000
 _FIRST_IMPROVEMENTS = 400
 _IMPROVEMENTS = 20
@@ -262,17 +264,11 @@ class ColumnStage:
                     self._offer(realise(self.problem, self._robots, chosen))
                 return
             _, r, codes = choice
-            branch = self._only(branch, r, codes)
+            branch = only(branch, r, codes, self._robots[r].capacity)
             bound, new = self._solve(branch, rounds=3)
             if new is None or bound >= self.cutoff:
                 return
             here = new
-
-    def _only(self, branch: Branch, r: int, codes: Codes) -> Branch:
-        forbidden = [own.copy() if k == r else own for k, own in enumerate(branch.forbidden)]
-        forbidden[r][:] = True
-        forbidden[r][np.arange(len(codes)), codes + self._robots[r].capacity] = False
-        return Branch(forbidden, branch.counts, branch.levels, branch.exact_load | {r})
 
     def _improve(self, iterations: int) -> None:
         if self.best is not None:
@@ -308,7 +304,7 @@ class ColumnStage:
             if not master.cut(point, max(1e-9, _TOLERANCE * self.search.gap)):
                 break
         master.drop_idle(point)
-        if point.missing > _INTEGRAL and not self._fractional(point):
+        if point.missing > INTEGRAL and not self._fractional(point):
             return np.inf, None
         return bound, point
 
@@ -323,18 +319,21 @@ class ColumnStage:
             gain = np.where(branch.forbidden[r], -np.inf, self.master.gains(point.dual, r))
             least = self.master.least_value(point.dual, r)
             most, found = robot.price(
-                gain, self.master.pair_gains(point.dual, r), least + 1e-7, exact_load=r in branch.exact_load
+                gain,
+                self.master.pair_gains(point.dual, r),
+                least + _REDUCED_COST,
+                exact_load=r in branch.exact_load,
             )
             total += max(0.0, most - least)
             for codes in found:
                 added |= self.master.add(r, codes)
-        return bound - total, added and total > 1e-6 * max(1.0, point.value)
+        return bound - total, added and total > _REDUCED_COST
 
     def _parts(self, point: Point) -> dict[int, list[tuple[float, Codes]]]:
         """Return the schedules in use and their shares, by robot."""
         parts: dict[int, list[tuple[float, Codes]]] = {r: [] for r in range(len(self._robots))}
         for column in self.master.columns:
-            if column.column < len(point.x) and point.x[column.column] > _INTEGRAL:
+            if column.column < len(point.x) and point.x[column.column] > INTEGRAL:
                 parts[column.robot].append((float(point.x[column.column]), column.codes))
         return parts
 
@@ -343,105 +342,31 @@ class ColumnStage:
 
     def _integral(self, point: Point) -> list[Codes] | None:
         parts = self._parts(point)
-        if point.missing > _INTEGRAL or any(len(own) != 1 for own in parts.values()):
+        if point.missing > INTEGRAL or any(len(own) != 1 for own in parts.values()):
             return None
-        if self._split_levels(point):
+        if split_levels(self.master, point):
             return None
         return [parts[r][0][1] for r in range(len(self._robots))]
 
     # branching
 
     def _children(self, node: _Open) -> list[Branch]:
-        """Return the two sides of the best of some decisions."""
-        options = self._options(node)
-        if not options:
+        """Return the two sides of the best of some decisions (strong branching)."""
+        decisions = options(self.master, node.point, self._parts(node.point))
+        if not decisions:
             self._undecided = min(self._undecided, node.bound)
             return []
-        if len(options) == 1:
-            return self._sides(node.branch, options[0][1])
-        best: tuple[float, list[Branch]] | None = None
-        for _, decision in options[:_STRONG]:
-            sides = self._sides(node.branch, decision)
-            rise = []
-            for side in sides:
-                self.master.impose(side)
-                point = self.master.solve()
-                value = self.cutoff if point is None else min(point.value, 2 * self.cutoff)
-                rise.append(max(value - node.point.value, 1e-6 * node.point.value))
-            score = min(rise) * max(rise) if np.isfinite(rise).all() else sum(rise)
-            if best is None or score > best[0]:
-                best = (score, sides)
-        assert best is not None
-        return best[1]
+        if len(decisions) == 1:
+            return sides(self._robots, node.branch, decisions[0])
+        tried = [sides(self._robots, node.branch, decision) for decision in decisions[:_STRONG]]
+        return max(tried, key=lambda pair: self._promise(node, pair))
 
-    def _options(self, node: _Open) -> list[tuple[float, tuple[object, ...]]]:
-        """Return decisions that the point does not keep, the most open first."""
-        point, found = node.point, []
-        for key, n in self.master.n.items():
-            value = float(point.x[n])
-            part = value - np.floor(value)
-            if _INTEGRAL < part < 1 - _INTEGRAL:
-                found.append((1.2 * min(part, 1 - part), ("count", key, int(np.floor(value)))))
-        for r, own in self._parts(point).items():
-            if len(own) > 1:
-                found += self._robot_options(r, own)
-        for i, s in self._split_levels(point):
-            found.append((0.01, ("level", (i, s))))
-        found.sort(key=lambda option: -option[0])
-        return found
-
-    def _split_levels(self, point: Point) -> list[tuple[int, int]]:
-        """Return candidates whose whole counts are made up of several levels, with the level of those counts."""
-        split = []
-        for i, own in enumerate(self.master.z):
-            if not own or not any(_INTEGRAL < point.x[z] < 1 - _INTEGRAL for _, z in own):
-                continue
-            counts = tuple(
-                round(float(point.x[self.master.n[k, i]])) if (k, i) in self.master.n else 0
-                for k in range(len(self.master.classes))
-            )
-            split += [(i, s) for s, (levels, _) in enumerate(own) if levels == counts]
-        return split
-
-    def _robot_options(
-        self, r: int, own: list[tuple[float, Codes]]
-    ) -> list[tuple[float, tuple[object, ...]]]:
-        robot = self._robots[r]
-        shares = np.array([share for share, _ in own])
-        codes = np.array([codes for _, codes in own]) + robot.capacity
-        exchange, taken = robot.exchange_of[codes], robot.taken_of[codes]
-        found: list[tuple[float, tuple[object, ...]]] = []
-        for w in range(len(robot.places)):
-            for t in range(1, robot.capacity + 1):
-                for kind, hit, weight in (
-                    ("drop", exchange[:, w] <= -t, 1.0), ("pick", exchange[:, w] >= t, 0.9),
-                    ("take", taken[:, w] >= t, 0.7),
-                ):  # fmt: skip
-                    part = float(shares @ hit)
-                    if _INTEGRAL < part < shares.sum() - _INTEGRAL:
-                        found.append((weight * min(part, 1 - part) / t**0.5, (kind, r, w, t)))
-        return found
-
-    def _sides(self, branch: Branch, decision: tuple[object, ...]) -> list[Branch]:
-        kind = decision[0]
-        if kind == "count":
-            _, key, floor = decision
-            lower, upper = branch.counts.get(key, (0.0, np.inf))  # type: ignore[call-overload]
-            return [
-                replace(branch, counts=branch.counts | {key: (lower, float(floor))}),  # type: ignore[dict-item,arg-type]
-                replace(branch, counts=branch.counts | {key: (float(floor) + 1, upper)}),  # type: ignore[dict-item,arg-type]
-            ]
-        if kind == "level":
-            return [replace(branch, levels=branch.levels | {decision[1]: (v, v)}) for v in (1.0, 0.0)]  # type: ignore[dict-item]
-        _, r, w, t = decision
-        robot = self._robots[r]  # type: ignore[index]
-        hit = {
-            "drop": robot.exchange_of <= -t, "pick": robot.exchange_of >= t, "take": robot.taken_of >= t,  # type: ignore[operator]
-        }[str(kind)]  # fmt: skip
-        sides = []
-        for side in (hit, ~hit):
-            forbidden = [own.copy() if k == r else own for k, own in enumerate(branch.forbidden)]
-            forbidden[r][w] |= side  # type: ignore[index]
-            exact = branch.exact_load | {r} if kind == "drop" and side is not hit else branch.exact_load
-            sides.append(replace(branch, forbidden=forbidden, exact_load=exact))  # type: ignore[arg-type]
-        return sides
+    def _promise(self, node: _Open, pair: list[Branch]) -> float:
+        """Return the product of what the two sides add to the bound, with the schedules known so far."""
+        promise = 1.0
+        for side in pair:
+            self.master.impose(side)
+            point = self.master.solve()
+            value = 2.0 * self.most if point is None else min(point.value, 2.0 * self.most)
+            promise *= max(value - node.point.value, 1e-6 * self.most)
+        return promise
