@@ -12,7 +12,7 @@ from typing import NamedTuple
 import networkx as nx
 
 from malipp_field.planner.extract import Route, TeamPlan, Visit, precedence, tidy
-from malipp_field.planner.problem import Problem, within
+from malipp_field.planner.problem import Problem
 
 COLLECTED, ON_BOARD, STOCK = 0, 1, 2
 
@@ -38,7 +38,7 @@ class Sample(NamedTuple):
 
 
 class Draft:
-    """Routes (node lists from start to terminal) and samples; changed in place by the search."""
+    """Routes (node lists from start to terminal) and samples; changed in place."""
 
     def __init__(self, problem: Problem, routes: list[list[int]], samples: list[Sample]) -> None:
         self.problem, self.routes, self.samples = problem, routes, samples
@@ -49,22 +49,13 @@ class Draft:
         for sample in samples:
             self.count(sample, 1)
 
-    def copy(self) -> Draft:
-        """Return an independent draft that says the same."""
-        return Draft(self.problem, [list(route) for route in self.routes], list(self.samples))
-
-    def add(self, sample: Sample) -> None:
-        """Add a sample; its stops are in the routes already."""
-        self.samples.append(sample)
-        self.count(sample, 1)
-
     def remove(self, sample: Sample) -> None:
         """Remove a sample; its stops stay."""
         self.samples.remove(sample)
         self.count(sample, -1)
 
     def count(self, sample: Sample, change: int) -> None:
-        """Count a sample in (1) or out (-1) at its stops, whether it is listed or not."""
+        """Count a sample in (1) or out (-1) at its stops."""
         if sample.kind == COLLECTED:
             self.collect[sample.robot][sample.node] += change
         elif sample.kind == STOCK:
@@ -74,36 +65,6 @@ class Draft:
             self.give[holder][node] += change
             self.take[receiver][node] += change
             holder = receiver
-
-    def energy_j(self, r: int) -> float:
-        """Return the energy of a route with its loads; infinity where custody, capacity or budget forbid."""
-        robot, route = self.problem.robots[r], self.routes[r]
-        collect, give, take = self.collect[r], self.give[r], self.take[r]
-        cost, mass, sample_mass = robot.closure.rows, robot.empty_mass_kg, self.problem.sample_mass_kg
-        capacity, last = robot.capacity, len(route) - 1
-        load, energy, before = robot.on_board, 0.0, route[0]
-        for i, node in enumerate(route):
-            if i:
-                if i == last > 1 and node == before:
-                    return float("inf")  # no leg leads from a depot to its own terminal copy
-                energy += cost[before][node] * (mass + sample_mass * load)
-                before = node
-                if i == last:
-                    break
-            load += collect[node]
-            given = give[node]
-            if given > min(load, capacity):
-                return float("inf")
-            if node in robot.depots:
-                if load - given > capacity:
-                    return float("inf")
-                load = given  # everything that is not handed over is unloaded
-            if load > capacity:
-                return float("inf")
-            load += take[node] - given
-            if load > capacity:
-                return float("inf")
-        return energy if within(energy, robot.budget_j) else float("inf")
 
     def tidy(self) -> None:
         """Drop stops at which nothing happens, and end every route at its nearest depot."""
@@ -130,35 +91,6 @@ class Draft:
         cost = robot.closure.rows[inner[-1]]
         allowed = [d for d in robot.depots if d != inner[-1] or len(inner) == 1]
         return min(allowed or robot.depots, key=lambda d: cost[d])
-
-    def in_order(self) -> bool:
-        """Tell whether every drop can be made before its pick: stops and drops form no circle."""
-        place = [{node: i for i, node in enumerate(route[:-1])} for route in self.routes]
-        later: dict[tuple[int, int], list[tuple[int, int]]] = defaultdict(list)
-        waits: Counter[tuple[int, int]] = Counter()
-        for r, route in enumerate(self.routes):
-            for i in range(1, len(route)):
-                later[r, i - 1].append((r, i))
-                waits[r, i] += 1
-        for sample in self.samples:
-            holder, since = sample.robot, place[sample.robot].get(sample.node, 0)
-            for node, receiver in sample.hops:
-                if place[holder][node] < since:
-                    return False
-                since = place[receiver][node]
-                later[holder, place[holder][node]].append((receiver, since))
-                waits[receiver, since] += 1
-                holder = receiver
-        free = [(r, 0) for r in range(len(self.routes)) if not waits[r, 0]]
-        done = 0
-        while free:
-            stop = free.pop()
-            done += 1
-            for following in later[stop]:
-                waits[following] -= 1
-                if not waits[following]:
-                    free.append(following)
-        return done == sum(map(len, self.routes))
 
     def visits(self) -> tuple[Route, ...]:
         """Return the routes with their operations."""

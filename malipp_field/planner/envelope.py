@@ -11,8 +11,8 @@ candidate has the levels of the relaxation in the right shares,
 All other candidates are taken at their highest precision, which only lowers J. The dual solution of this
 small linear program is a cut that is linear in z and valid everywhere.
 
-A robot that samples u and v in one schedule does so in the same world: E[n_u n_v] >= sum over its schedules of
-lambda_c a_cu a_cv. With these rows the mixture cannot pretend that neighbours are sampled in turn.
+A robot that samples u and v in one schedule does so in the same world: E[n_u n_v] is at least the sum of
+lambda_c a_cu a_cv over its schedules. With these rows no mixture can pretend to sample neighbours in turn.
 """
 
 from __future__ import annotations
@@ -135,7 +135,7 @@ class Envelope:
         return bool(self._solver.getModelStatus() == highspy.HighsModelStatus.kOptimal)
 
     def _cut(self, dual: FloatArray) -> Cut:
-        """Return the cut of a dual solution, lowered until it holds at every combination whatever rounding did."""
+        """Return the cut of a dual solution, lowered until it holds at every combination."""
         slopes: dict[tuple[int, int], float] = {}
         total = np.zeros(len(self.values))
         for c, (i, own) in enumerate(zip(self.cluster, self.levels, strict=True)):
@@ -218,7 +218,7 @@ def _values(
 ) -> FloatArray:
     """Return J at every combination of the cluster's levels, the others at their highest."""
     highest = np.array(
-        [own[-1].precision if len(own) == 1 else max(l.precision for l in own) for own in levels]
+        [own[-1].precision if len(own) == 1 else max(level.precision for level in own) for own in levels]
     )
     rest = [i for i in range(len(levels)) if i not in cluster and highest[i] > 0.0]
     k_vv, k_tv, k_tt = information.k_vv, information.k_tv, information.k_tt.copy()
@@ -233,10 +233,12 @@ def _values(
     if not cluster:
         return np.array([float(information.weights @ k_tt)])
     precision = np.stack(
-        [np.array([l.precision for l in levels[i]])[grid[:, c]] for c, i in enumerate(cluster)], axis=1
+        [np.array([level.precision for level in levels[i]])[grid[:, c]] for c, i in enumerate(cluster)],
+        axis=1,
     )
     root = np.sqrt(precision)
     system = np.eye(len(cluster)) + root[:, :, None] * inner * root[:, None, :]
     told = root[:, :, None] * cross.T
     fall = np.einsum("bct,bct->bt", told, np.linalg.solve(system, told))
-    return (k_tt - fall) @ information.weights
+    values: FloatArray = (k_tt - fall) @ information.weights
+    return values

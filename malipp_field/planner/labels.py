@@ -60,8 +60,8 @@ def _mixed(h, x):  # type: ignore[no-untyped-def]
 def way_home(actor, u, mask):  # type: ignore[no-untyped-def]
     """Return alpha of the cheapest end of a route at ``u``.
 
-    No arc leads from a depot to its own terminal copy, so a robot that has picked something up at a depot goes
-    to another one, or comes back over a place it has not visited.
+    No arc leads from a depot to its own terminal copy: a robot that has picked something up at a depot goes to
+    another one, or comes back over a place it has not visited.
     """
     best = actor.home[u]
     if u > 0 and actor.depot[u]:
@@ -73,7 +73,7 @@ def way_home(actor, u, mask):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def completion(actor, gain):  # type: ignore[no-untyped-def]
-    """Return an upper bound on the value still to be gathered, by place, load and energy level left.
+    """Return upper bounds on the value still to be gathered, by place, load and energy level left.
 
     The relaxation forgets which places were visited and rounds energies down to ``budget / LEVELS``.
 
@@ -81,7 +81,7 @@ def completion(actor, gain):  # type: ignore[no-untyped-def]
     -------
     array, shape (P, K + 1, E), the energy of a level, and levels added to make up for legs below one level.
     """
-    P, C = gain.shape
+    P = gain.shape[0]
     K = actor.capacity
     step = actor.budget / LEVELS
     if step <= 0.0:
@@ -247,7 +247,7 @@ def enumerate_labels(actor, gain, least, room):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def complete_schedules(actor, count, codes, mask, place, load, energy):  # type: ignore[no-untyped-def]
-    """Return, for every distinct set of operations that can be ended in time, its cheapest label and energy."""
+    """Return the cheapest label, and its energy, of every set of operations that the budget allows."""
     P = codes.shape[1]
     size = 64
     while size < 2 * count + 2:

@@ -9,8 +9,8 @@
          theta_G >= tangents and envelopes of J                          (`cuts`, `envelope`)
 
 Its columns lambda are priced by `schedules`; every row is a sum over places of something that depends on the
-code there, so pricing needs no more than a table of gains, one for each code at each place. The rows of pairs,
-E[n_u n_v] in the envelopes, are the exception: they ask for listed schedules.
+code there, so pricing needs no more than a table of gains, one for each code at each place. The rows of
+pairs, E[n_u n_v] in the envelopes, are the exception: they ask for listed schedules.
 """
 
 from __future__ import annotations
@@ -63,14 +63,53 @@ class Point:
     """Shares of schedules that do not exist."""
 
 
-@dataclass
-class Column:
-    """A schedule in the master."""
+class Stack:
+    """The schedules of one robot that are in the master, in arrays that grow.
 
-    robot: int
-    codes: Codes
-    column: int
-    closed: bool = False
+    Attributes
+    ----------
+    codes : array, shape (M, P), less K
+    column : array, shape (M,)
+        Where each stands in the master.
+    closed : array of bool, shape (M,)
+    """
+
+    def __init__(self, places: int) -> None:
+        self._codes = np.zeros((256, places), dtype=np.int16)
+        self._column = np.zeros(256, dtype=np.int64)
+        self._closed = np.zeros(256, dtype=np.bool_)
+        self._known: set[bytes] = set()
+
+    def __len__(self) -> int:
+        return len(self._known)
+
+    def __contains__(self, codes: Codes) -> bool:
+        return codes.tobytes() in self._known
+
+    def add(self, codes: Codes, column: int) -> None:
+        """Put one more on top."""
+        count = len(self)
+        if count == len(self._column):
+            self._codes = np.concatenate([self._codes, np.zeros_like(self._codes)])
+            self._column = np.concatenate([self._column, np.zeros_like(self._column)])
+            self._closed = np.concatenate([self._closed, np.zeros_like(self._closed)])
+        self._codes[count], self._column[count] = codes, column
+        self._known.add(codes.tobytes())
+
+    @property
+    def codes(self) -> Codes:
+        """See the class."""
+        return self._codes[: len(self)]
+
+    @property
+    def column(self) -> NDArray[np.int64]:
+        """See the class."""
+        return self._column[: len(self)]
+
+    @property
+    def closed(self) -> NDArray[np.bool_]:
+        """See the class."""
+        return self._closed[: len(self)]
 
 
 @dataclass
@@ -102,7 +141,7 @@ class Master:
         self.classes = sorted({robot.precision for robot in robots})
         self.class_of = [self.classes.index(robot.precision) for robot in robots]
         self.position = {v: i for i, v in enumerate(problem.candidates)}
-        self.columns: list[Column] = []
+        self.stacks = [Stack(len(robot.places)) for robot in robots]
         self.features: list[Feature] = []
         self.n: dict[tuple[int, int], int] = {}
         self.z: list[list[tuple[tuple[int, ...], int]]] = [[] for _ in problem.candidates]
@@ -193,15 +232,13 @@ class Master:
             drops = [int(self.robots[r].actor.most_drop[w]) for r, w in here]
             if not any(drops) and not stock:
                 continue
-            self._exchange_row(v, here, float(stock), None, 0)
+            self._exchange_row(here, float(stock), None, 0)
             for (r, _), most in zip(here, drops, strict=True):
                 for t in range(1, most + 1):
-                    self._exchange_row(v, here, 0.0, r, t)
+                    self._exchange_row(here, 0.0, r, t)
 
-    def _exchange_row(
-        self, v: int, here: list[tuple[int, int]], least: float, sender: int | None, t: int
-    ) -> None:
-        """Add a row of exchanges at node v: all of them, or what one sender's drop of t or more asks for."""
+    def _exchange_row(self, here: list[tuple[int, int]], least: float, sender: int | None, t: int) -> None:
+        """Add a row of exchanges at a node: all of them, or what one sender's drop of t or more asks for."""
         tables = {}
         for r, w in here:
             robot = self.robots[r]
@@ -244,9 +281,8 @@ class Master:
 
     def add(self, r: int, codes: Codes) -> bool:
         """Add a schedule; return False where it is known already."""
-        robot = self.robots[r]
-        key = codes.tobytes()
-        if key in robot.known:
+        robot, stack = self.robots[r], self.stacks[r]
+        if codes in stack:
             return False
         cells = np.arange(len(robot.places)) * robot.width + codes + robot.capacity
         values = self._tables[r][:, cells].sum(axis=1)
@@ -256,23 +292,22 @@ class Master:
         for pair, (w, x) in self._pair_places[r].items():
             if taken[w] and taken[x]:
                 terms.append((self._pair[pair][1], float(taken[w] * taken[x])))
-        robot.known[key] = len(self.columns)
-        self.columns.append(Column(r, codes.copy(), self._column(0.0, 0.0, INFINITY, terms)))
+        stack.add(codes, self._column(0.0, 0.0, INFINITY, terms))
         return True
 
     def impose(self, branch: Branch) -> None:
         """Set the bounds of a node of the tree."""
-        index, lower, upper = [], [], []
-        for r, robot in enumerate(self.robots):
-            own = [column for column in self.columns if column.robot == r]
-            codes = np.array([column.codes for column in own]) + robot.capacity
-            closed = branch.forbidden[r][np.arange(len(robot.places)), codes].any(axis=1) if own else []
-            for column, shut in zip(own, closed, strict=True):
-                if column.closed != shut:
-                    column.closed = bool(shut)
-                    index.append(column.column)
-                    lower.append(0.0)
-                    upper.append(0.0 if shut else INFINITY)
+        index: list[int] = []
+        lower: list[float] = []
+        upper: list[float] = []
+        for r, (robot, stack) in enumerate(zip(self.robots, self.stacks, strict=True)):
+            cells = branch.forbidden[r][np.arange(len(robot.places)), stack.codes + robot.capacity]
+            shut: NDArray[np.bool_] = np.any(cells, axis=1)
+            changed = np.flatnonzero(shut != stack.closed)
+            stack.closed[changed] = shut[changed]
+            index += stack.column[changed].tolist()
+            lower += [0.0] * len(changed)
+            upper += np.where(shut[changed], 0.0, INFINITY).tolist()
         for key, n in self.n.items():
             low, high = branch.counts.get(key, (0.0, INFINITY))
             index.append(n)
@@ -306,7 +341,8 @@ class Master:
     def gains(self, dual: FloatArray, r: int) -> FloatArray:
         """Return what each code at each place of robot r is worth, shape (P, C)."""
         robot = self.robots[r]
-        return (dual[self._feature_rows] @ self._tables[r]).reshape(len(robot.places), robot.width)
+        gains: FloatArray = dual[self._feature_rows] @ self._tables[r]
+        return gains.reshape(len(robot.places), robot.width)
 
     def pair_gains(self, dual: FloatArray, r: int) -> tuple[NDArray[np.int64], NDArray[np.int64], FloatArray]:
         """Return places u, v of the pairs that robot r counts in, and the value of a sample at both."""
@@ -346,8 +382,10 @@ class Master:
             return 0
         terms = [(self._theta[g], 1.0)]
         for i, own in enumerate(self.z):
-            terms += [(column, -float(slope[i] * step)) for (_, column), step in zip(own, steps[i], strict=True)
-                      if abs(slope[i] * step) > 1e-12]  # fmt: skip
+            terms += [
+                (column, -float(slope[i] * step))
+                for (_, column), step in zip(own, steps[i], strict=True) if abs(slope[i] * step) > 1e-12
+            ]  # fmt: skip
         self._cuts.append(LiveCut(self._row(terms, float(value - slope @ (q - base)), INFINITY)))
         return 1
 
@@ -368,19 +406,27 @@ class Master:
     def _together(self, point: Point) -> dict[Pair, float]:
         """Return E[n_u n_v] as far as listed schedules bring it about."""
         found: dict[Pair, float] = {}
-        for column in self.columns:
-            part = point.x[column.column] if column.column < len(point.x) else 0.0
-            robot = self.robots[column.robot]
-            if part < 1e-9 or robot.pool is None:
+        for r, robot in enumerate(self.robots):
+            if robot.pool is None:
                 continue
-            taken = robot.taken_of[column.codes + robot.capacity]
-            sampled = sorted((self.position[robot.places[w]], int(taken[w])) for w in np.flatnonzero(taken))
-            for (u, a), (v, b) in itertools.combinations(sampled, 2):
-                pair = (self.class_of[column.robot], u, v)
-                if pair in self._pair and pair not in self._pair_places[column.robot]:
-                    continue  # the row was made before this robot's schedules were listed
-                found[pair] = found.get(pair, 0.0) + part * a * b
+            for part, codes in self.used(point, r):
+                taken = robot.taken_of[codes + robot.capacity]
+                sampled = sorted(
+                    (self.position[robot.places[w]], int(taken[w])) for w in np.flatnonzero(taken)
+                )
+                for (u, a), (v, b) in itertools.combinations(sampled, 2):
+                    pair = (self.class_of[r], u, v)
+                    # a row made before this robot's schedules were listed does not count it
+                    if pair not in self._pair or pair in self._pair_places[r]:
+                        found[pair] = found.get(pair, 0.0) + part * a * b
         return found
+
+    def used(self, point: Point, r: int, least: float = 1e-9) -> list[tuple[float, Codes]]:
+        """Return the schedules of robot r that have a share of more than ``least`` at a point."""
+        stack = self.stacks[r]
+        known = stack.column[stack.column < len(point.x)]
+        shares = point.x[known]
+        return [(float(shares[k]), stack.codes[k]) for k in np.flatnonzero(shares > least)]
 
     def _pair_column(self, pair: Pair) -> int:
         """Return the column of E[n_u n_v] >= what the listed schedules of the class bring about."""
@@ -392,14 +438,11 @@ class Master:
             for r, robot in enumerate(self.robots):
                 if self.class_of[r] == k and robot.pool is not None and set(nodes) <= set(robot.places):
                     self._pair_places[r][pair] = robot.places.index(nodes[0]), robot.places.index(nodes[1])
-            for column in self.columns:
-                places = self._pair_places[column.robot].get(pair)
-                if places:
-                    robot = self.robots[column.robot]
-                    taken = robot.taken_of[column.codes + robot.capacity]
-                    product = int(taken[places[0]] * taken[places[1]])
-                    if product:
-                        self._solver.changeCoeff(row, column.column, float(product))
+                    w, x = self._pair_places[r][pair]
+                    taken = robot.taken_of[self.stacks[r].codes[:, [w, x]] + robot.capacity]
+                    product = taken[:, 0] * taken[:, 1]
+                    for m in np.flatnonzero(product):
+                        self._solver.changeCoeff(row, int(self.stacks[r].column[m]), float(product[m]))
         return self._pair[pair][0]
 
     def forbid(self, counts: dict[tuple[int, int], int]) -> None:

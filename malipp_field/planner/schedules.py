@@ -7,7 +7,7 @@ picked beyond what is dropped need not be picked, so exchanges are capabilities:
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,8 @@ from malipp_field.planner.labels import (
 from malipp_field.planner.problem import Problem
 
 Codes = NDArray[np.int16]
+Pairs = tuple[NDArray[np.int64], NDArray[np.int64], FloatArray]
+"""Places u, v and the value of every pair of samples at them."""
 
 _FIRST_ROOM = 400_000
 """Labels allowed for listing all schedules of a robot outright."""
@@ -63,8 +65,6 @@ class Robot:
     pool: Pool | None = None
     twins: tuple[int, ...] = ()
     """Robots, itself included, that could stand in for each other everywhere."""
-    known: dict[bytes, int] = field(default_factory=dict)
-    """Columns of the master by their codes."""
 
     @property
     def width(self) -> int:
@@ -106,7 +106,7 @@ class Robot:
         return Pool(codes, taken, np.ones(len(codes), dtype=np.bool_), np.zeros(len(codes)))
 
     def price(
-        self, gain: FloatArray, pairs: tuple[NDArray[np.int64], NDArray[np.int64], FloatArray],
+        self, gain: FloatArray, pairs: Pairs,
         least: float, *, exact_load: bool,
     ) -> tuple[float, list[Codes]]:  # fmt: skip
         """Return an upper bound on the value of any schedule, and some that are worth more than ``least``.
@@ -133,9 +133,7 @@ class Robot:
         chosen = [self._codes(int(found[k]), code_of, place, parent) for k in order]
         return max(rest, float(worths.max(initial=least))), chosen
 
-    def _scan(
-        self, gain: FloatArray, pairs: tuple[NDArray[np.int64], NDArray[np.int64], FloatArray], least: float
-    ) -> tuple[float, list[Codes]]:
+    def _scan(self, gain: FloatArray, pairs: Pairs, least: float) -> tuple[float, list[Codes]]:
         pool = self.pool
         assert pool is not None
         scan(pool.codes, self.capacity, pool.alive, gain, *pairs, pool.taken, pool.values)
@@ -186,9 +184,8 @@ def robots_of(problem: Problem) -> list[Robot]:
 
 
 def _alike(one: Robot, other: Robot) -> bool:
-    return (one.places, one.precision) == (other.places, other.precision) and all(
-        np.array_equal(a, b) for a, b in zip(one.actor, other.actor, strict=True)
-    )
+    same = (np.array_equal(np.asarray(a), np.asarray(b)) for a, b in zip(one.actor, other.actor, strict=True))
+    return (one.places, one.precision) == (other.places, other.precision) and all(same)
 
 
 def _robot(problem: Problem, r: int) -> Robot:

@@ -50,7 +50,7 @@ def least_makespan(problem: Problem, search: Search, best: TeamPlan) -> tuple[Te
 def plan_of_precision(
     problem: Problem, search: Search, precision: FloatArray
 ) -> tuple[TeamPlan | None, bool]:
-    """Return a plan that gains just this precision, shape (V,), or None and whether there is none (proven)."""
+    """Return a plan that gains just this precision, shape (V,), or None and whether none is possible."""
     model = _fixed_model(problem, search, precision)
     model.linear.objective(model.energy_terms())
     while True:

@@ -22,7 +22,7 @@ from malipp_field.planner.master import Branch, Master, Point
 from malipp_field.planner.problem import Problem
 from malipp_field.planner.progress import Result, Search, relative_gap
 from malipp_field.planner.realise import realise
-from malipp_field.planner.schedules import Codes, robots_of
+from malipp_field.planner.schedules import Codes, Pairs, robots_of
 from malipp_field.planner.stages import plan_of_precision
 
 _NOTHING = -1e300
@@ -32,8 +32,11 @@ _TOLERANCE = 0.1
 _REDUCED_COST = 1e-9
 """Schedules that lower the objective by less are not looked for; J is at most 1 here (`units`)."""
 _LIST_ROOM = 4_000_000
-_FIRST_IMPROVEMENTS = 400
-_IMPROVEMENTS = 20
+_RETRY = 0.8
+"""A robot with too many schedules to list is asked again when the gap has become so much smaller."""
+_FIRST_IMPROVEMENTS = 150
+_IMPROVEMENTS = 10
+"""Iterations of ruin and recreate before the search and at every node, for each robot and candidate."""
 _STRONG = 6
 """Candidates for branching that are tried before one is chosen."""
 
@@ -58,6 +61,11 @@ class ColumnStage:
         self._robots = robots_of(problem)
         self._numbers = itertools.count()
         self._open: list[_Open] = []
+        self._root_bound = 0.0
+        self._root_prices: list[tuple[FloatArray, Pairs, float]] = []
+        """Gains of codes and pairs, and the value to exceed, by robot at the root."""
+        self._too_many: dict[int, float] = {}
+        """Gap at which a robot had too many schedules to list."""
         self._undecided = np.inf
         """Least bound of nodes that could be neither solved nor branched."""
 
@@ -87,8 +95,15 @@ class ColumnStage:
     def _offer(self, team: TeamPlan | None) -> None:
         if team is not None and (self.best is None or team.rank < self.best.rank):
             self.best = team
-            self._learn(team)
-            self._tell("branch and price")
+            self._better("branch and price")
+
+    def _better(self, stage: str) -> None:
+        """Draw the consequences of a better plan."""
+        assert self.best is not None
+        self._learn(self.best)
+        self._tell(stage)
+        if self._root_prices:
+            self._fix()
 
     def _learn(self, team: TeamPlan) -> None:
         """Add a plan's schedules to the master."""
@@ -149,25 +164,29 @@ class ColumnStage:
             self._tell("root")
             if point is None or self.best is None:
                 return point
-            news = self._fix(point, bound)
+            self._root_bound = bound
+            self._root_prices = [
+                (self.master.gains(point.dual, r), self.master.pair_gains(point.dual, r),
+                 self.master.least_value(point.dual, r)) for r in range(len(self._robots))
+            ]  # fmt: skip
+            news = self._fix()
             if not news and bound - before < 0.1 * (self.best.information - bound):
                 return point
             before = bound
         return point
 
-    def _fix(self, point: Point, bound: float) -> bool:
-        """Keep the schedules whose reduced cost is within the gap; return whether a robot's were listed anew."""
+    def _fix(self) -> bool:
+        """Keep schedules whose reduced cost at the root is within the gap; tell if any were listed anew."""
         news = False
-        assert self.best is not None
-        room = self.best.information - bound
-        for r, robot in enumerate(self._robots):
-            least = self.master.least_value(point.dual, r) - room - 1e-9
-            gain = self.master.gains(point.dual, r)
+        room = self.most - self._root_bound + 1e-9
+        for r, (gain, pairs, worth) in enumerate(self._root_prices):
+            robot = self._robots[r]
             if robot.pool is not None:
-                robot.price(gain, self.master.pair_gains(point.dual, r), least, exact_load=False)
-                robot.keep(least)
-            elif robot.list_all(gain, least, _LIST_ROOM):
-                news = True
+                robot.price(gain, pairs, worth, exact_load=False)
+                robot.keep(worth - room)
+            elif room < _RETRY * self._too_many.get(r, np.inf):
+                news |= robot.list_all(gain, worth - room, _LIST_ROOM)
+                self._too_many[r] = room
         return news
 
     def _grow(self) -> None:
@@ -182,8 +201,8 @@ class ColumnStage:
             if not self._branch(node):
                 heapq.heappush(self._open, node)
                 break
+            self._improve(_IMPROVEMENTS)
             if self.rounds % 10 == 0:
-                self._improve(_IMPROVEMENTS)
                 self._tell("branch and price")
         if self._open:
             self.bound = max(self.bound, min(self._open[0].bound, self.cutoff))
@@ -212,11 +231,9 @@ class ColumnStage:
             self._offer(team)
             if bound >= self.cutoff:
                 return
-        self._settle(bound, branch, point, chosen, team)
+        self._settle(bound, branch, chosen, team)
 
-    def _settle(
-        self, bound: float, branch: Branch, point: Point, chosen: list[Codes], team: TeamPlan | None
-    ) -> None:
+    def _settle(self, bound: float, branch: Branch, chosen: list[Codes], team: TeamPlan | None) -> None:
         """Deal with an integral point that has no plan yet, or whose J is not the master's yet."""
         if team is None:
             counts = self._counts(chosen)
@@ -273,10 +290,10 @@ class ColumnStage:
     def _improve(self, iterations: int) -> None:
         if self.best is not None:
             before = self.best
+            iterations *= len(self._robots) * max(1, len(self.problem.candidates))
             self.best = self._improver.improve(before, iterations, self.search.effort)
             if self.best is not before:
-                self._learn(self.best)
-                self._tell("ruin and recreate")
+                self._better("ruin and recreate")
 
     # one node
 
@@ -331,11 +348,7 @@ class ColumnStage:
 
     def _parts(self, point: Point) -> dict[int, list[tuple[float, Codes]]]:
         """Return the schedules in use and their shares, by robot."""
-        parts: dict[int, list[tuple[float, Codes]]] = {r: [] for r in range(len(self._robots))}
-        for column in self.master.columns:
-            if column.column < len(point.x) and point.x[column.column] > INTEGRAL:
-                parts[column.robot].append((float(point.x[column.column]), column.codes))
-        return parts
+        return {r: self.master.used(point, r, INTEGRAL) for r in range(len(self._robots))}
 
     def _fractional(self, point: Point) -> bool:
         return any(len(own) > 1 for own in self._parts(point).values())

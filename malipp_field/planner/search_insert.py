@@ -1,0 +1,376 @@
+"""Compiled search for the cheapest way home of one more sample, and its insertion.
+
+A way is: brought home by the robot that takes it; or dropped where it was taken, at a later stop or at a new
+one, for the robot that fetches it at least cost, by passing or by a detour; that robot may drop it once more.
+All tests of energy, room and order take constant time on what `derive` and `order` have found.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from malipp_field.planner.draft import COLLECTED, ON_BOARD, STOCK
+from malipp_field.planner.search_compile import compiled
+from malipp_field.planner.search_routes import count, derive, insert_stop, learn, order, uniform
+from malipp_field.planner.search_state import FIRST_HOP, HOPS, KIND, NODE, PILE, ROBOT, Case, Scratch, State
+
+W_ROBOT, W_NODE, W_AT, W_DROPS, W_DROP, W_DROP_AT, W_BY, W_BY_AT, W_NEXT, W_LAST, W_LAST_AT = range(11)
+"""Columns of a way: who takes the sample where, before which stop; number of drops; the first drop and
+before which stop; who fetches it, before which stop; the second drop, who fetches it, before which stop."""
+
+
+@compiled
+def find_costs(case: Case, state: State, scratch: Scratch) -> None:
+    """Fill the tables of what fetching costs at least, whatever the order of stops."""
+    robots, n = case.place.shape
+    for o in range(robots):
+        for w in range(n):
+            scratch.fetch[o, w] = _cheapest_fetch(case, state, scratch, o, w)
+            scratch.onward[o, w] = scratch.fetch[o, w]
+    _find_least(case, scratch)
+    if scratch.relays[0]:
+        for o in range(robots):
+            for w in range(n):
+                if case.place[o, w]:
+                    _cheapest_relay(case, state, scratch, o, w)
+        _find_least(case, scratch)
+
+
+@compiled
+def _find_least(case: Case, scratch: Scratch) -> None:
+    robots, n = case.place.shape
+    for r in range(robots):
+        for w in range(n):
+            least = np.inf
+            for o in range(robots):
+                if case.handoff[r, o, w]:
+                    least = min(least, scratch.onward[o, w])
+            scratch.least[r, w] = least
+
+
+@compiled
+def _places(case: Case, state: State, r: int, v: int) -> tuple[int, int]:
+    """Return the first and the last index at which a robot can stop at a node: its stop, or a new one."""
+    if not case.place[r, v]:
+        return 1, 0
+    at = state.pos[r, v]
+    return (at, at) if at >= 0 else (1, state.length[r] - 1)
+
+
+@compiled
+def _onward(case: Case, state: State, r: int, i: int, v: int) -> float:
+    """Return alpha from v as a new stop i to the stop after it."""
+    if i == state.length[r] - 1:
+        return float(case.home[r, v])
+    return float(case.cost[r, v, state.route[r, i]])
+
+
+@compiled
+def _detour_j(case: Case, state: State, r: int, i: int, v: int) -> float:
+    """Return the energy of a new stop i at v with what is on board there."""
+    before, after = state.route[r, i - 1], state.route[r, i]
+    alpha = case.cost[r, before, v] + _onward(case, state, r, i, v) - case.cost[r, before, after]
+    return float(alpha * (case.mass_kg[r] + case.sample_mass_kg * state.depart[r, i - 1]))
+
+
+@compiled
+def _may_pass(case: Case, state: State, r: int, i: int, v: int) -> bool:
+    """Tell whether v may be new stop i: what is unloaded at a depot must not have to be dropped later."""
+    if case.depot[r, v]:
+        for k in range(i, state.unload[r, i - 1]):
+            if state.give[r, state.route[r, k]] > 0:
+                return False
+    return True
+
+
+@compiled
+def _fetch_cost(case: Case, state: State, scratch: Scratch, o: int, k: int, w: int) -> float:
+    """Return what it costs robot o to take one sample at w, stop k or new stop k, to its next unloading."""
+    if state.pos[o, w] >= 0:
+        if state.peak[o, k] >= case.capacity[o]:
+            return np.inf
+        energy_j = case.sample_mass_kg * (state.cum[o, state.unload[o, k]] - state.cum[o, k])
+    else:
+        if state.peak[o, k - 1] >= case.capacity[o] or not _may_pass(case, state, o, k, w):
+            return np.inf
+        rest = state.cum[o, state.unload[o, k - 1]] - state.cum[o, k]
+        energy_j = _detour_j(case, state, o, k, w)
+        energy_j += case.sample_mass_kg * (_onward(case, state, o, k, w) + rest)
+    if state.energy_j[o] + energy_j <= case.budget_j[o]:
+        return float(energy_j * scratch.weight[o])
+    return np.inf
+
+
+@compiled
+def _cheapest_fetch(case: Case, state: State, scratch: Scratch, o: int, w: int) -> float:
+    least = np.inf
+    first, last = _places(case, state, o, w)
+    for k in range(first, last + 1):
+        least = min(least, _fetch_cost(case, state, scratch, o, k, w))
+    return least
+
+
+@compiled
+def _cheapest_relay(case: Case, state: State, scratch: Scratch, o: int, w: int) -> None:
+    """Lower ``onward`` where it is cheaper that o drops at a later stop what it fetches at w."""
+    first, last = _places(case, state, o, w)
+    for k in range(first, last + 1):
+        m, end, energy_j, way = _begin_relay(case, state, o, k, w)
+        while m < end and state.arrive[o, m] < case.capacity[o]:
+            more_j = energy_j + case.sample_mass_kg * (way + state.cum[o, m] - state.cum[o, k])
+            if state.energy_j[o] + more_j <= case.budget_j[o]:
+                cost = more_j * scratch.weight[o] + scratch.least[o, state.route[o, m]]
+                scratch.onward[o, w] = min(scratch.onward[o, w], cost)
+            if state.depart[o, m] >= case.capacity[o]:
+                break
+            m += 1
+
+
+@compiled
+def _begin_relay(case: Case, state: State, o: int, k: int, w: int) -> tuple[int, int, float, float]:
+    """Return the stops from which to which o may drop again, the energy of its detour, and the first leg."""
+    if state.pos[o, w] >= 0:
+        end = state.unload[o, k] if state.depart[o, k] < case.capacity[o] else 0
+        return k + 1, end, 0.0, 0.0
+    end = state.unload[o, k - 1] if state.depart[o, k - 1] < case.capacity[o] else 0
+    if not _may_pass(case, state, o, k, w):
+        end = 0
+    return k, end, _detour_j(case, state, o, k, w), _onward(case, state, o, k, w)
+
+
+@compiled
+def _carrier(case: Case, state: State, scratch: Scratch, r: int, since: int, w: int, limit: float) -> float:
+    """Find who fetches best what robot r drops at w, when its stop ``since`` is over; return the cost.
+
+    Returns ``limit`` where nobody is cheaper; else the way's part from ``W_DROPS`` on is written, but for
+    the drop itself.
+    """
+    for o in range(len(state.length)):
+        if not case.handoff[r, o, w] or scratch.onward[o, w] >= limit:
+            continue
+        first, last = _places(case, state, o, w)
+        for k in range(max(first, state.clock[r, since, o] + 1), last + 1):
+            cost = _fetch_cost(case, state, scratch, o, k, w)
+            if cost < limit:
+                limit = cost
+                scratch.way[W_DROPS], scratch.way[W_BY], scratch.way[W_BY_AT] = 1, o, k
+            if scratch.relays[0]:
+                limit = _relay(case, state, scratch, r, since, o, k, w, limit)
+    return limit
+
+
+@compiled
+def _relay(
+    case: Case,
+    state: State,
+    scratch: Scratch,
+    r: int,
+    since: int,
+    o: int,
+    k: int,
+    w: int,
+    limit: float,
+) -> float:
+    """Find a third robot that fetches what o has fetched from r and drops at a later stop."""
+    m, end, energy_j, way = _begin_relay(case, state, o, k, w)
+    while m < end and state.arrive[o, m] < case.capacity[o]:
+        x = state.route[o, m]
+        more_j = energy_j + case.sample_mass_kg * (way + state.cum[o, m] - state.cum[o, k])
+        own = more_j * scratch.weight[o]
+        fits = state.energy_j[o] + more_j <= case.budget_j[o]
+        for p in range(len(state.length)):
+            if p == r or not fits or not case.handoff[o, p, x] or own + scratch.fetch[p, x] >= limit:
+                continue
+            first, last = _places(case, state, p, x)
+            after = max(state.clock[r, since, p], state.clock[o, m, p])
+            for q in range(max(first, after + 1), last + 1):
+                cost = own + _fetch_cost(case, state, scratch, p, q, x)
+                if cost < limit:
+                    limit = cost
+                    scratch.way[W_DROPS], scratch.way[W_BY], scratch.way[W_BY_AT] = 2, o, k
+                    scratch.way[W_NEXT], scratch.way[W_LAST], scratch.way[W_LAST_AT] = x, p, q
+        if state.depart[o, m] >= case.capacity[o]:
+            break
+        m += 1
+    return limit
+
+
+@compiled
+def find_way(
+    case: Case,
+    state: State,
+    scratch: Scratch,
+    r: int,
+    v: int,
+    limit: float,
+) -> float:
+    """Find the cheapest way home of ``scratch.sample`` if robot r takes it at v, into ``scratch.way``.
+
+    Returns its cost (energy weighted by ``scratch.weight``), or ``limit`` where none is cheaper. Places
+    are overlooked with probability ``scratch.blink``.
+    """
+    first, last = _places(case, state, r, v)
+    for i in range(first, last + 1):
+        if uniform(scratch) < scratch.blink[0]:
+            continue
+        limit = _ways_from(case, state, scratch, r, v, i, limit)
+    return limit
+
+
+@compiled
+def _ways_from(
+    case: Case,
+    state: State,
+    scratch: Scratch,
+    r: int,
+    v: int,
+    i: int,
+    limit: float,
+) -> float:
+    """Improve on ``limit`` by ways that begin at stop i, or at a new stop i."""
+    new, kind = state.pos[r, v] < 0, scratch.sample[0]
+    detour_j = _detour_j(case, state, r, i, v) if new else 0.0
+    held = state.depart[r, i - 1] if new else state.arrive[r, i]
+    cheap = detour_j * scratch.weight[r] < limit and state.energy_j[r] + detour_j <= case.budget_j[r]
+    if not cheap or (new and not _may_pass(case, state, r, i, v)):
+        return limit
+    if kind != STOCK and held >= case.capacity[r]:
+        return limit
+    before = i - 1 if new else i
+    way = _onward(case, state, r, i, v) if new else 0.0
+    home_j = detour_j + case.sample_mass_kg * (way + state.cum[r, state.unload[r, before]] - state.cum[r, i])
+    room = state.peak[r, before] < case.capacity[r]
+    if kind == ON_BOARD and case.depot[r, v]:
+        home_j, room = 0.0, True  # it is unloaded before anything else happens
+    home = home_j * scratch.weight[r] + scratch.shy[r]
+    if room and home < limit and state.energy_j[r] + home_j <= case.budget_j[r]:
+        limit = home
+        _note(scratch, r, v, i, 0, 0)
+        scratch.way[W_DROPS] = 0
+    if case.depot[r, v] and kind != STOCK:
+        return limit
+    if kind != STOCK:
+        limit = _with_drop(case, state, scratch, r, v, i, v, i, before, detour_j, limit)
+    return _ways_with_drop(case, state, scratch, r, v, i, detour_j, limit)
+
+
+@compiled
+def _note(scratch: Scratch, r: int, v: int, i: int, w: int, j: int) -> None:
+    scratch.way[W_ROBOT], scratch.way[W_NODE], scratch.way[W_AT] = r, v, i
+    scratch.way[W_DROP], scratch.way[W_DROP_AT] = w, j
+
+
+@compiled
+def _with_drop(
+    case: Case,
+    state: State,
+    scratch: Scratch,
+    r: int,
+    v: int,
+    i: int,
+    w: int,
+    j: int,
+    since: int,
+    energy_j: float,
+    limit: float,
+) -> float:
+    """Improve on ``limit`` by a drop at w, stop j or new stop j, to which robot r needs so much energy."""
+    own = float(energy_j * scratch.weight[r])
+    if own + scratch.least[r, w] >= limit or not (state.energy_j[r] + energy_j <= case.budget_j[r]):
+        return limit
+    rest = _carrier(case, state, scratch, r, since, w, limit - own)
+    if rest < limit - own:
+        _note(scratch, r, v, i, w, j)
+        return own + rest
+    return limit
+
+
+@compiled
+def _ways_with_drop(
+    case: Case,
+    state: State,
+    scratch: Scratch,
+    r: int,
+    v: int,
+    i: int,
+    detour_j: float,
+    limit: float,
+) -> float:
+    """Improve on ``limit`` by drops at later stops of robot r and at new ones between them."""
+    new = state.pos[r, v] < 0
+    before = i - 1 if new else i
+    m = before + 1
+    here, driven = v, 0.0  # the stop before m, and alpha to it from where the sample is taken
+    leg = _onward(case, state, r, i, v) if new else state.cum[r, m] - state.cum[r, i]
+    while state.depart[r, m - 1] < case.capacity[r]:
+        limit = _new_drops(case, state, scratch, r, v, i, m, here, leg, driven, detour_j, limit)
+        if m >= state.unload[r, before] or state.arrive[r, m] >= case.capacity[r]:
+            break
+        driven += leg
+        here = state.route[r, m]
+        more_j = detour_j + case.sample_mass_kg * driven
+        limit = _with_drop(case, state, scratch, r, v, i, here, m, m, more_j, limit)
+        m += 1
+        leg = state.cum[r, m] - state.cum[r, m - 1]
+    return limit
+
+
+@compiled
+def _new_drops(
+    case: Case,
+    state: State,
+    scratch: Scratch,
+    r: int,
+    v: int,
+    i: int,
+    m: int,
+    here: int,
+    leg: float,
+    driven: float,
+    detour_j: float,
+    limit: float,
+) -> float:
+    """Improve on ``limit`` by drops at a new stop on the leg from ``here`` to stop m."""
+    mass_kg = case.mass_kg[r] + case.sample_mass_kg * state.depart[r, m - 1]
+    own = detour_j * scratch.weight[r]
+    for w in range(len(case.candidate)):
+        if own + scratch.least[r, w] >= limit or not scratch.hub[w] or not case.place[r, w]:
+            continue
+        if state.pos[r, w] >= 0 or w == v or case.depot[r, w]:
+            continue
+        there = case.cost[r, here, w]
+        energy_j = detour_j + (there + _onward(case, state, r, m, w) - leg) * mass_kg
+        energy_j += case.sample_mass_kg * (driven + there)
+        limit = _with_drop(case, state, scratch, r, v, i, w, m, m - 1, energy_j, limit)
+    return limit
+
+
+@compiled
+def insert(case: Case, state: State, scratch: Scratch) -> bool:
+    """Put in ``scratch.sample`` by the way ``scratch.best``; return False where that breaks a rule."""
+    way, kind = scratch.best, scratch.sample[0]
+    r, v, w, drops = way[W_ROBOT], way[W_NODE], way[W_DROP], way[W_DROPS]
+    if drops > 0 and w != v and state.pos[r, w] < 0:
+        insert_stop(case, state, r, way[W_DROP_AT], w)
+    if state.pos[r, v] < 0:
+        insert_stop(case, state, r, way[W_AT], v)
+    row = state.samples[state.size[0]]
+    state.size[0] += 1
+    row[KIND], row[NODE], row[ROBOT], row[PILE], row[HOPS] = kind, v, r, scratch.sample[3], drops
+    if drops > 0:
+        row[FIRST_HOP], row[FIRST_HOP + 1] = w, way[W_BY]
+        if state.pos[way[W_BY], w] < 0:
+            insert_stop(case, state, way[W_BY], way[W_BY_AT], w)
+    if drops > 1:
+        row[FIRST_HOP + 2], row[FIRST_HOP + 3] = way[W_NEXT], way[W_LAST]
+        if state.pos[way[W_LAST], way[W_NEXT]] < 0:
+            insert_stop(case, state, way[W_LAST], way[W_LAST_AT], way[W_NEXT])
+    count(state, row, 1)
+    if kind == COLLECTED:
+        learn(case, state, case.candidate[v], case.precision[r])
+    good = derive(case, state, r)
+    if drops > 0:
+        good = good and derive(case, state, way[W_BY])
+    if drops > 1:
+        good = good and derive(case, state, way[W_LAST])
+    return good and order(state)
