@@ -64,16 +64,16 @@ class Cut:
     pairs: Mapping[Pair, float]
 
 
-def levels_of(counts: Sequence[tuple[int, ...]], classes: Sequence[float], gained: float) -> list[Level]:
+def levels_of(counts: Mapping[int, tuple[int, ...]], classes: Sequence[float], gained: float) -> list[Level]:
     """Return the levels of a candidate: single samples apart, more than one together by the best class.
 
     Parameters
     ----------
     counts
-        Samples by class of each selector.
+        Samples by class of each selector that may be set.
     """
     groups: dict[tuple[str, int], list[int]] = {}
-    for s, taken in enumerate(counts):
+    for s, taken in counts.items():
         best = max(k for k, n in enumerate(taken) if n)
         groups.setdefault(("one" if sum(taken) == 1 else "more", best), []).append(s)
     found = [Level((), gained, (0,) * len(classes))]

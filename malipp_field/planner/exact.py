@@ -9,6 +9,7 @@ from malipp_field.planner.arcs import InformationStage
 from malipp_field.planner.extract import TeamPlan
 from malipp_field.planner.problem import Problem
 from malipp_field.planner.progress import Result, Search
+from malipp_field.planner.schedules import MOST_PLACES
 from malipp_field.planner.stages import least_energy, least_makespan
 from malipp_field.planner.tree import ColumnStage
 
@@ -30,9 +31,11 @@ def solve_exact(
     start
         A plan to begin with; the result is never worse.
     over
-        What the first stage is searched over: whole schedules (`tree`) or single arcs (`arcs`).
+        What the first stage is searched over: whole schedules (`tree`) or single arcs (`arcs`; always where a
+        robot has more than `MOST_PLACES`).
     """
-    stage = ColumnStage if over == "schedules" else InformationStage
+    whole = over == "schedules" and all(len(robot.places) <= MOST_PLACES for robot in problem.robots)
+    stage = ColumnStage if whole else InformationStage
     result = stage(problem, search.share(1.0 - _LAST_STAGES), start).run()
     if result.team is None:
         return result

@@ -60,8 +60,8 @@ def _mixed(h, x):  # type: ignore[no-untyped-def]
 def way_home(actor, u, mask):  # type: ignore[no-untyped-def]
     """Return alpha of the cheapest end of a route at ``u``.
 
-    No arc leads from a depot to its own terminal copy: a robot that has picked something up at a depot goes to
-    another one, or comes back over a place it has not visited.
+    No arc leads from a depot to its own terminal copy: a robot that has picked something up at a depot goes
+    to another one, or comes back over a place it has not visited.
     """
     best = actor.home[u]
     if u > 0 and actor.depot[u]:
@@ -374,7 +374,7 @@ def price_labels(actor, gain, must, exact_load, least, room):  # type: ignore[no
     worths = np.zeros(room)
     n_found = 0
     limit = actor.budget * (1.0 + 1e-9) + 1e-12
-    can_drop = actor.most_drop.max() > 0
+    lightens = actor.most_drop.max() > 0 or actor.depot[1:].any()  # may drop or unload on its way
     best_gain = np.zeros(P)
     for v in range(P):
         best_gain[v] = max(0.0, gain[v].max())
@@ -412,18 +412,18 @@ def price_labels(actor, gain, must, exact_load, least, room):  # type: ignore[no
                     g = gain[v, code]
                     if g == -np.inf:
                         continue
-                    if h > 0 and g <= gain[v, code - 1] + 1e-12:
+                    if not exact_load and (
+                        (h > 0 and g <= gain[v, code - 1] + 1e-12)
+                        or (a > 0 and h >= 0 and g <= gain[v, code - H] + 1e-12)
+                        or (a > 0 and h < 0 and g <= gain[v, code - H + 1] + 1e-12)
+                    ):
                         continue  # one less to carry for the same
-                    if a > 0 and h >= 0 and g <= gain[v, code - H] + 1e-12:
-                        continue
-                    if a > 0 and h < 0 and g <= gain[v, code - H + 1] + 1e-12:
-                        continue
                     new = worth + g
                     rest = bound[v, after, _level(limit - spent, step, slack, levels)]
                     if not new + rest > least:
                         continue
                     seen_now = seen | (ONE << np.uint64(v))
-                    mass = actor.empty_mass + (0.0 if can_drop else actor.sample_mass * after)
+                    mass = actor.empty_mass + (0.0 if lightens else actor.sample_mass * after)
                     open_gain = 0.0
                     for w in range(1, P):
                         if not (seen_now >> np.uint64(w)) & ONE:
@@ -490,7 +490,7 @@ def price_labels(actor, gain, must, exact_load, least, room):  # type: ignore[no
 
 
 @njit(cache=True)
-def scan(codes, K, alive, gain, firsts, seconds, pair_gain, taken, values):  # type: ignore[no-untyped-def]
+def scan(codes, K, alive, gain, firsts, seconds, pair_gain, marks, values):  # type: ignore[no-untyped-def]
     """Write the value of every schedule of a pool into ``values``.
 
     Parameters
@@ -500,9 +500,9 @@ def scan(codes, K, alive, gain, firsts, seconds, pair_gain, taken, values):  # t
     gain : array, shape (P, C)
         Indexed by code; minus infinity forbids.
     firsts, seconds, pair_gain : array, shape (Q,)
-        Value of every pair of samples at two places.
-    taken : array, shape (M, P)
-        Samples taken.
+        Two columns of ``marks`` and the value of their product.
+    marks : array, shape (M, 3 P)
+        See `schedules.Robot.marks`.
     """
     M, P = codes.shape
     for i in range(M):
@@ -514,5 +514,5 @@ def scan(codes, K, alive, gain, firsts, seconds, pair_gain, taken, values):  # t
             total += gain[w, codes[i, w] + K]
         if total > -np.inf:
             for k in range(firsts.shape[0]):
-                total += pair_gain[k] * taken[i, firsts[k]] * taken[i, seconds[k]]
+                total += pair_gain[k] * marks[i, firsts[k]] * marks[i, seconds[k]]
         values[i] = total

@@ -13,12 +13,12 @@ from typing import Any
 
 import numpy as np
 
-from malipp_field.planner.progress import Progress, Result, Search, relative_gap
 from malipp_field.planner.extract import TeamPlan, team_plan
 from malipp_field.planner.literal_model import ENERGY, INFORMATION, MAKESPAN, LiteralModel
 from malipp_field.planner.literal_plan import assign, read_routes
 from malipp_field.planner.literal_solver import Ending, Run, choose_solver, minimise
 from malipp_field.planner.problem import Problem
+from malipp_field.planner.progress import Progress, Result, Search, relative_gap
 
 __all__ = ["LiteralModel", "solve_literal"]
 

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import highspy
 import numpy as np
@@ -25,15 +25,30 @@ from numpy.typing import NDArray
 
 from malipp_field.field import FloatArray
 from malipp_field.planner.cuts import split_information
-from malipp_field.planner.envelope import Envelope, Level, Pair, levels_of
+from malipp_field.planner.envelope import Envelope, Pair, levels_of
 from malipp_field.planner.linear import INFINITY
 from malipp_field.planner.problem import Problem
 from malipp_field.planner.schedules import Codes, Robot
 
 _PENALTY = 100.0
 """Cost of what no schedule does yet, in priors: only to have a solution from the start."""
-_IDLE_ROUNDS = 25
-"""Cuts that were not active in so many solutions are dropped."""
+_IDLE_ROUNDS = 8
+"""Cuts that were not active at the end of so many nodes are dropped, some at a time."""
+_IDLE_AT_ONCE = 40
+_FORGOTTEN = 0.05
+"""Envelopes are made anew when so large a share of all levels can be forgotten."""
+_ANCHORED = 0.01
+"""Least violation of a row that ties a drop to a sample, in robots."""
+_TRIAL_STEPS = 60
+"""Steps of the dual simplex by which a branch is judged."""
+_NO_LIMIT = 2**31 - 1
+_DUAL, _PRIMAL = 1, 4
+_ANSWERS = (highspy.HighsModelStatus.kOptimal, highspy.HighsModelStatus.kInfeasible)
+
+
+Product = tuple[str, int, int, int]
+"""Of what: ("taken", class, u, v), samples at two positions in V, or ("dropped", 0, u, node): whether a robot
+that samples at u drops at the node."""
 
 
 @dataclass
@@ -59,6 +74,8 @@ class Point:
     value: float
     x: FloatArray
     dual: FloatArray
+    reduced: FloatArray
+    """Reduced costs of the columns."""
     missing: float
     """Shares of schedules that do not exist."""
 
@@ -153,9 +170,12 @@ class Master:
             self._solver.setOptionValue(option, value)
         self._rows = self._cols = 0
         self._cuts: list[LiveCut] = []
-        self._pair: dict[Pair, tuple[int, int]] = {}
-        """Column and row of E[n_u n_v]."""
-        self._pair_places: list[dict[Pair, tuple[int, int]]] = [{} for _ in robots]
+        self._product: dict[Product, tuple[int, int]] = {}
+        """Column and row of every expectation of a product."""
+        self._product_marks: list[dict[Product, tuple[int, int]]] = [{} for _ in robots]
+        self._fetched: dict[int, int] = {}
+        """Column of how many robots pick at a node."""
+        self._anchored: set[Product] = set()
         most = self._most()
         self._convexity = [self._row([], 1.0, 1.0) for _ in robots]
         self._absent = [self._stand_in(row) for row in self._convexity]
@@ -236,6 +256,9 @@ class Master:
             for (r, _), most in zip(here, drops, strict=True):
                 for t in range(1, most + 1):
                     self._exchange_row(here, 0.0, r, t)
+            for t in range(1, max(drops) + 1):
+                self._dropped_where_taken(v, here, t)
+            self._pickers(v, here)
 
     def _exchange_row(self, here: list[tuple[int, int]], least: float, sender: int | None, t: int) -> None:
         """Add a row of exchanges at a node: all of them, or what one sender's drop of t or more asks for."""
@@ -256,26 +279,78 @@ class Master:
             self._absent.append(self._stand_in(row))
         self.features.append(Feature(row, tables))
 
+    def _dropped_where_taken(self, v: int, here: list[tuple[int, int]], t: int) -> None:
+        """Add: robots that sample at v and drop t or more there need somebody to pick t at the same time.
+
+        If there are N >= 1 of them, N samples or more are taken at v, so N <= 1 + (n_v - 1); and t are picked.
+        """
+        tables = {}
+        for r, w in here:
+            robot = self.robots[r]
+            h = robot.exchange_of
+            table = np.zeros((len(robot.places), robot.width))
+            table[w] = np.clip(h, 0, t) - t * ((h <= -t) & (robot.taken_of > 0))
+            tables[r] = table
+        self.features.append(
+            Feature(self._row(self._beyond_one(self.position.get(v), t), 0.0, INFINITY), tables)
+        )
+
+    def _beyond_one(self, i: int | None, t: int = 1) -> list[tuple[int, float]]:
+        """Return t times the samples at a candidate beyond the first."""
+        if i is None:
+            return []
+        return [(z, t * (sum(counts) - 1.0)) for counts, z in self.z[i] if sum(counts) > 1]
+
+    def _pickers(self, v: int, here: list[tuple[int, int]]) -> None:
+        """Add the column of how many robots pick at node v."""
+        self._fetched[v] = self._column(0.0, 0.0, INFINITY, [])
+        tables = {}
+        for r, w in here:
+            robot = self.robots[r]
+            table = np.zeros((len(robot.places), robot.width))
+            table[w] = robot.exchange_of > 0
+            tables[r] = table
+        self.features.append(Feature(self._row([(self._fetched[v], -1.0)], 0.0, INFINITY), tables))
+
     def _information(self, most: NDArray[np.int64]) -> None:
         problem = self.problem
         free = most.sum(axis=1) > 0
         self.groups = split_information(problem.information, free, max(self.classes))
-        levels = [
-            levels_of([counts for counts, _ in self.z[i]], self.classes, float(problem.gained[i]))
-            if self.z[i] else [Level((), float(problem.gained[i]), (0,) * len(self.classes))]
-            for i in range(len(problem.candidates))
-        ]  # fmt: skip
         self._precisions = [
             np.array([problem.gained[i] + sum(n * p for n, p in zip(counts, self.classes, strict=True))
                       for counts, _ in self.z[i]]) for i in range(len(problem.candidates))
         ]  # fmt: skip
         self._theta = [self._column(1.0, 0.0, INFINITY, []) for _ in self.groups]
-        information = problem.information
-        self._envelopes = [
-            Envelope(type(information)(information.k_vv, g.information.k_tv, g.information.k_tt,
-                                       g.information.weights), levels)
-            for g in self.groups
-        ]  # fmt: skip
+        self._gone: set[tuple[int, int]] = set()
+        """Selectors (position in V, selector) that no better plan sets."""
+        self._envelopes = self._enveloped()
+
+    def _enveloped(self) -> list[Envelope]:
+        """Return the envelope of J for each group of test points, over the levels that are left."""
+        information, gained = self.problem.information, self.problem.gained
+        levels = [
+            levels_of(
+                {s: counts for s, (counts, _) in enumerate(own) if (i, s) not in self._gone},
+                self.classes,
+                float(gained[i]),
+            )
+            for i, own in enumerate(self.z)
+        ]
+        return [Envelope(replace(group.information, k_vv=information.k_vv), levels) for group in self.groups]
+
+    def forget_levels(self, point: Point, room: float) -> None:
+        """Fix selectors at zero whose reduced cost exceeds the gap, and let the envelopes profit from it.
+
+        With fewer levels at each candidate an envelope covers more candidates, and those outside of it are
+        taken at a lower precision.
+        """
+        found = {
+            (i, s) for i, own in enumerate(self.z) for s, (_, z) in enumerate(own)
+            if (i, s) not in self._gone and point.reduced[z] > room
+        }  # fmt: skip
+        if len(found) > _FORGOTTEN * sum(len(own) for own in self.z):
+            self._gone |= found
+            self._envelopes = self._enveloped()
 
     # columns
 
@@ -288,10 +363,10 @@ class Master:
         values = self._tables[r][:, cells].sum(axis=1)
         terms = [(self._convexity[r], 1.0)]
         terms += [(int(self._feature_rows[f]), float(values[f])) for f in np.flatnonzero(values)]
-        taken = robot.taken_of[codes + robot.capacity]
-        for pair, (w, x) in self._pair_places[r].items():
-            if taken[w] and taken[x]:
-                terms.append((self._pair[pair][1], float(taken[w] * taken[x])))
+        marks = robot.marks(codes[None, :])[0]
+        for product, (w, x) in self._product_marks[r].items():
+            if marks[w] and marks[x]:
+                terms.append((self._product[product][1], float(marks[w] * marks[x])))
         stack.add(codes, self._column(0.0, 0.0, INFINITY, terms))
         return True
 
@@ -315,7 +390,7 @@ class Master:
             upper.append(high)
         for i, own_levels in enumerate(self.z):
             for s, (_, z) in enumerate(own_levels):
-                low, high = branch.levels.get((i, s), (0.0, 1.0))
+                low, high = branch.levels.get((i, s), (0.0, 0.0 if (i, s) in self._gone else 1.0))
                 index.append(z)
                 lower.append(low)
                 upper.append(high)
@@ -325,18 +400,57 @@ class Master:
 
     # solving
 
-    def solve(self) -> Point | None:
-        """Solve as it stands; None where that fails."""
+    def solve(self, *, grown: bool = False) -> Point | None:
+        """Solve as it stands; None where it has no solution.
+
+        Parameters
+        ----------
+        grown
+            Whether nothing but columns has come since: the primal simplex goes on from there.
+
+        Raises
+        ------
+        ArithmeticError
+            Where HiGHS gives up.
+        """
+        self._solver.setOptionValue("simplex_strategy", _PRIMAL if grown else _DUAL)
         self._solver.run()
-        if self._solver.getModelStatus() != highspy.HighsModelStatus.kOptimal:
+        if self._solver.getModelStatus() not in _ANSWERS:
             self._solver.clearSolver()
             self._solver.run()
-            if self._solver.getModelStatus() != highspy.HighsModelStatus.kOptimal:
-                return None
+        status = self._solver.getModelStatus()
+        if status == highspy.HighsModelStatus.kInfeasible:
+            return None
+        if status != highspy.HighsModelStatus.kOptimal:
+            raise ArithmeticError(f"the master could not be solved: {status.name}")
         solution = self._solver.getSolution()
-        x, dual = np.array(solution.col_value), np.array(solution.row_dual)
-        missing = float(sum(x[column] for column in self._absent))
-        return Point(float(self._solver.getInfo().objective_function_value), x, dual, missing)
+        x = np.array(solution.col_value)
+        return Point(
+            value=float(self._solver.getInfo().objective_function_value),
+            x=x,
+            dual=np.array(solution.row_dual),
+            reduced=np.array(solution.col_dual),
+            missing=float(sum(x[column] for column in self._absent)),
+        )
+
+    def promise(self, branch: Branch, children: Sequence[Branch]) -> list[float]:
+        """Return what each child of a node adds to the objective in a few steps of the simplex, at least."""
+        self.impose(branch)
+        point = self.solve()
+        if point is None:
+            return [0.0] * len(children)
+        basis, rises = self._solver.getBasis(), []
+        self._solver.setOptionValue("simplex_iteration_limit", _TRIAL_STEPS)
+        for child in children:
+            self._solver.setBasis(basis)
+            self.impose(child)
+            self._solver.run()
+            infeasible = self._solver.getModelStatus() == highspy.HighsModelStatus.kInfeasible
+            value = self._solver.getInfo().objective_function_value
+            rises.append(point.value if infeasible else max(0.0, float(value) - point.value))
+        self._solver.setOptionValue("simplex_iteration_limit", _NO_LIMIT)
+        self._solver.setBasis(basis)
+        return rises
 
     def gains(self, dual: FloatArray, r: int) -> FloatArray:
         """Return what each code at each place of robot r is worth, shape (P, C)."""
@@ -345,8 +459,8 @@ class Master:
         return gains.reshape(len(robot.places), robot.width)
 
     def pair_gains(self, dual: FloatArray, r: int) -> tuple[NDArray[np.int64], NDArray[np.int64], FloatArray]:
-        """Return places u, v of the pairs that robot r counts in, and the value of a sample at both."""
-        rows = [(w, x, dual[self._pair[pair][1]]) for pair, (w, x) in self._pair_places[r].items()]
+        """Return the products that schedules of robot r count in, and their values."""
+        rows = [(w, x, dual[self._product[product][1]]) for product, (w, x) in self._product_marks[r].items()]
         rows = [entry for entry in rows if entry[2] != 0.0]
         return (
             np.array([w for w, _, _ in rows], dtype=np.int64),
@@ -368,7 +482,7 @@ class Master:
         for g, theta in enumerate(self._theta):
             least = point.x[theta] + tolerance * max(point.value, 1e-9) / len(self._theta)
             found += self._tangent(g, share, least) + self._envelope(g, share, together, least)
-        return found
+        return found + self._anchor(point)
 
     def _tangent(self, g: int, share: list[FloatArray], least: float) -> int:
         group = self.groups[g]
@@ -399,7 +513,7 @@ class Master:
             return 0
         terms = [(self._theta[g], 1.0)]
         terms += [(self.z[i][s][1], -slope) for (i, s), slope in cut.slopes.items()]
-        terms += [(self._pair_column(pair), -slope) for pair, slope in cut.pairs.items()]
+        terms += [(self._product_column(("taken", *pair)), -slope) for pair, slope in cut.pairs.items()]
         self._cuts.append(LiveCut(self._row(terms, cut.constant, INFINITY)))
         return 1
 
@@ -417,7 +531,7 @@ class Master:
                 for (u, a), (v, b) in itertools.combinations(sampled, 2):
                     pair = (self.class_of[r], u, v)
                     # a row made before this robot's schedules were listed does not count it
-                    if pair not in self._pair or pair in self._pair_places[r]:
+                    if ("taken", *pair) not in self._product or ("taken", *pair) in self._product_marks[r]:
                         found[pair] = found.get(pair, 0.0) + part * a * b
         return found
 
@@ -428,22 +542,57 @@ class Master:
         shares = point.x[known]
         return [(float(shares[k]), stack.codes[k]) for k in np.flatnonzero(shares > least)]
 
-    def _pair_column(self, pair: Pair) -> int:
-        """Return the column of E[n_u n_v] >= what the listed schedules of the class bring about."""
-        if pair not in self._pair:
-            k, u, v = pair
-            nodes = self.problem.candidates[u], self.problem.candidates[v]
+    def _anchor(self, point: Point) -> int:
+        """Add violated rows: whoever samples at u and drops at v, somebody picks at v.
+
+        As in `_dropped_where_taken`, for two places: sum_r P(r samples at u and drops at v) is at most the
+        number of robots that pick at v and of samples at u beyond the first.
+        """
+        dropped: dict[Product, float] = {}
+        for r, robot in enumerate(self.robots):
+            for part, codes in self.used(point, r) if robot.pool is not None else []:
+                taken = np.flatnonzero(robot.taken_of[codes + robot.capacity])
+                for w in np.flatnonzero(robot.exchange_of[codes + robot.capacity] < 0):
+                    for x in taken:
+                        product = ("dropped", 0, self.position[robot.places[x]], robot.places[w])
+                        dropped[product] = dropped.get(product, 0.0) + part
+        found = 0
+        for product, part in dropped.items():
+            _, _, i, v = product
+            beyond = self._beyond_one(i)
+            room = point.x[self._fetched[v]] + sum(count * point.x[z] for z, count in beyond)
+            if part > room + _ANCHORED and product not in self._anchored and self.problem.candidates[i] != v:
+                self._anchored.add(product)
+                terms = [(self._fetched[v], 1.0), *beyond, (self._product_column(product), -1.0)]
+                self._row(terms, 0.0, INFINITY)
+                found += 1
+        return found
+
+    def _product_column(self, product: Product) -> int:
+        """Return the column of an expectation that is at least what the listed schedules bring about."""
+        if product not in self._product:
             row = self._row([], -INFINITY, 0.0)
-            self._pair[pair] = (self._column(0.0, 0.0, INFINITY, [(row, -1.0)]), row)
+            self._product[product] = (self._column(0.0, 0.0, INFINITY, [(row, -1.0)]), row)
             for r, robot in enumerate(self.robots):
-                if self.class_of[r] == k and robot.pool is not None and set(nodes) <= set(robot.places):
-                    self._pair_places[r][pair] = robot.places.index(nodes[0]), robot.places.index(nodes[1])
-                    w, x = self._pair_places[r][pair]
-                    taken = robot.taken_of[self.stacks[r].codes[:, [w, x]] + robot.capacity]
-                    product = taken[:, 0] * taken[:, 1]
-                    for m in np.flatnonzero(product):
-                        self._solver.changeCoeff(row, int(self.stacks[r].column[m]), float(product[m]))
-        return self._pair[pair][0]
+                marks = self._marks_of(product, r)
+                if marks is None or robot.pool is None:
+                    continue
+                self._product_marks[r][product] = marks
+                values = robot.marks(self.stacks[r].codes)[:, marks].prod(axis=1)
+                for m in np.flatnonzero(values):
+                    self._solver.changeCoeff(row, int(self.stacks[r].column[m]), float(values[m]))
+        return self._product[product][0]
+
+    def _marks_of(self, product: Product, r: int) -> tuple[int, int] | None:
+        """Return the columns of `Robot.marks` whose product it is; None where robot r has no part in it."""
+        kind, k, u, v = product
+        places, count = self.robots[r].places, len(self.robots[r].places)
+        one = self.problem.candidates[u]
+        other = self.problem.candidates[v] if kind == "taken" else v
+        if one not in places or other not in places or (kind == "taken" and self.class_of[r] != k):
+            return None
+        w, x = places.index(one), places.index(other)
+        return (w, x) if kind == "taken" else (count + w, 2 * count + x)
 
     def forbid(self, counts: dict[tuple[int, int], int]) -> None:
         """Forbid all plans that take at least so many samples of each class at each candidate."""
@@ -461,7 +610,7 @@ class Master:
         for cut in self._cuts:
             cut.idle = 0 if abs(point.dual[cut.row]) > 1e-9 else cut.idle + 1
         gone = sorted(cut.row for cut in self._cuts if cut.idle > _IDLE_ROUNDS)
-        if len(gone) < 60:
+        if len(gone) < _IDLE_AT_ONCE:
             return
         self._solver.deleteRows(len(gone), np.array(gone, dtype=np.int32))
         rows = np.array(gone)
@@ -469,7 +618,9 @@ class Master:
         self._cuts = [
             LiveCut(_moved(cut.row, rows), cut.idle) for cut in self._cuts if cut.idle <= _IDLE_ROUNDS
         ]
-        self._pair = {pair: (column, _moved(row, rows)) for pair, (column, row) in self._pair.items()}
+        self._product = {
+            product: (column, _moved(row, rows)) for product, (column, row) in self._product.items()
+        }
 
 
 def _moved(row: int, gone: NDArray[np.int64]) -> int:

@@ -25,8 +25,10 @@ from malipp_field.planner.problem import Problem
 
 Codes = NDArray[np.int16]
 Pairs = tuple[NDArray[np.int64], NDArray[np.int64], FloatArray]
-"""Places u, v and the value of every pair of samples at them."""
+"""Two columns of `Robot.marks` and the value of their product, for every pair."""
 
+MOST_PLACES = 63
+"""Places of a robot: those visited are the bits of one word."""
 _FIRST_ROOM = 400_000
 """Labels allowed for listing all schedules of a robot outright."""
 _PRICING_ROOMS = (15_000, 60_000, 240_000)
@@ -40,7 +42,7 @@ class Pool:
     """All schedules of a robot that can be part of a better plan."""
 
     codes: Codes
-    taken: NDArray[np.int16]
+    marks: NDArray[np.int16]
     alive: NDArray[np.bool_]
     values: FloatArray
 
@@ -81,7 +83,20 @@ class Robot:
         """Return h of every code, shape (C,)."""
         return np.arange(self.width) % (2 * self.capacity + 1) - self.capacity
 
-    def list_all(self, gain: FloatArray, least: float, room: int = _FIRST_ROOM) -> bool:
+    def marks(self, codes: Codes) -> NDArray[np.int16]:
+        """Return what products are made of, shape (M, 3 P): samples taken; if any are; if some are dropped.
+
+        Parameters
+        ----------
+        codes : array, shape (M, P), less K
+        """
+        taken = self.taken_of[codes + self.capacity]
+        dropped = self.exchange_of[codes + self.capacity] < 0
+        return np.concatenate([taken, taken > 0, dropped], axis=1).astype(np.int16)
+
+    def list_all(
+        self, gain: FloatArray, least: float, room: int = _FIRST_ROOM, *, dominated: bool = False
+    ) -> bool:
         """List all schedules of value ``least`` or more, unless there are too many; tell whether it is done.
 
         Raises nothing: False says that more than ``room`` labels would be needed.
@@ -91,8 +106,10 @@ class Robot:
             return False
         label, _ = complete_schedules(self.actor, count, codes, mask, place, load, energy)
         found = codes[label]
-        kept = found[without_dominated(found, self.capacity, self.actor.limits, self.actor.most_pick)]
-        self.pool = self._pool(kept)
+        if not dominated:
+            actor = self.actor
+            found = found[without_dominated(found, self.capacity, actor.limits, actor.most_pick)]
+        self.pool = self._pool(np.ascontiguousarray(found))
         return True
 
     def keep(self, least: float) -> None:
@@ -102,8 +119,7 @@ class Robot:
             self.pool = self._pool(np.ascontiguousarray(self.pool.codes[kept]))
 
     def _pool(self, codes: Codes) -> Pool:
-        taken = ((codes + self.capacity) // (2 * self.capacity + 1)).astype(np.int16)
-        return Pool(codes, taken, np.ones(len(codes), dtype=np.bool_), np.zeros(len(codes)))
+        return Pool(codes, self.marks(codes), np.ones(len(codes), dtype=np.bool_), np.zeros(len(codes)))
 
     def price(
         self, gain: FloatArray, pairs: Pairs,
@@ -136,7 +152,7 @@ class Robot:
     def _scan(self, gain: FloatArray, pairs: Pairs, least: float) -> tuple[float, list[Codes]]:
         pool = self.pool
         assert pool is not None
-        scan(pool.codes, self.capacity, pool.alive, gain, *pairs, pool.taken, pool.values)
+        scan(pool.codes, self.capacity, pool.alive, gain, *pairs, pool.marks, pool.values)
         good = np.flatnonzero(pool.values > least)
         if good.size == 0:
             return max(least, float(pool.values.max(initial=-np.inf))), []

@@ -21,6 +21,8 @@ from malipp_field.planner.shortage import shortage
 from malipp_field.planner.verify import verify
 
 Engine = Callable[[Problem, Search, TeamPlan | None], Result]
+_RELAXATION_S = 10.0
+"""Most seconds for the bound of a plan whose method has none."""
 _SEQUENTIAL_SHARE = 0.1
 """Of the time limit, for the Seq-LIPP plan the exact search begins with."""
 
@@ -136,7 +138,18 @@ def _sequential(request: Request, problem: Problem) -> Plan:
         return _no_routes(
             request, "no_plan", "robots planned one by one found no plan that brings all samples home"
         )
-    return plan_file(request.mission.name, problem, team, _verdict(request, "feasible", None, None))
+    bound = min(_relaxed(request), team.information)
+    gap = relative_gap(team.information, bound)
+    return plan_file(request.mission.name, problem, team, _verdict(request, "feasible", bound, gap))
+
+
+def _relaxed(request: Request) -> float:
+    """Return the bound of the cone relaxation: Seq-LIPP itself proves nothing."""
+    # cvxpy takes a second to import, which no other method should have to wait for
+    from malipp_field.planner.relaxation import relaxation_bound  # noqa: PLC0415
+
+    left_s = min(_RELAXATION_S, request.search.effort.left_s)
+    return relaxation_bound(request.mission, request.state, left_s)
 
 
 def _exact(request: Request, problem: Problem, start: TeamPlan | None) -> Plan:

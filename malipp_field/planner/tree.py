@@ -32,10 +32,12 @@ _TOLERANCE = 0.1
 _REDUCED_COST = 1e-9
 """Schedules that lower the objective by less are not looked for; J is at most 1 here (`units`)."""
 _LIST_ROOM = 4_000_000
+_SLOW, _PATIENCE = 0.01, 3
+"""Cutting ends after so many rounds in a row that closed less than this share of the gap."""
 _RETRY = 0.8
 """A robot with too many schedules to list is asked again when the gap has become so much smaller."""
 _FIRST_IMPROVEMENTS = 150
-_IMPROVEMENTS = 10
+_IMPROVEMENTS = 4
 """Iterations of ruin and recreate before the search and at every node, for each robot and candidate."""
 _STRONG = 6
 """Candidates for branching that are tried before one is chosen."""
@@ -61,9 +63,13 @@ class ColumnStage:
         self._robots = robots_of(problem)
         self._numbers = itertools.count()
         self._open: list[_Open] = []
+        self._lagrangian = 0.0
+        """Bound that belongs to the prices of the last point."""
         self._root_bound = 0.0
         self._root_prices: list[tuple[FloatArray, Pairs, float]] = []
         """Gains of codes and pairs, and the value to exceed, by robot at the root."""
+        self._dominated_too = False
+        """Whether listed schedules include those that others beat."""
         self._too_many: dict[int, float] = {}
         """Gap at which a robot had too many schedules to list."""
         self._undecided = np.inf
@@ -75,7 +81,7 @@ class ColumnStage:
     def cutoff(self) -> float:
         """The bound from which on nothing better than the gap asked for can follow."""
         if self.best is None:
-            return np.inf
+            return self.problem.information.prior * (1.0 + 1e-9)
         return self.best.information * (1.0 - self.search.gap) - 1e-12
 
     @property
@@ -88,6 +94,10 @@ class ColumnStage:
         """Whether the effort is used up."""
         work = self.search.work
         return self.search.effort.over or (work is not None and self.rounds >= work)
+
+    def _raise_bound(self, bound: float) -> None:
+        """Take a bound on everything still open; nodes set aside undecided limit it."""
+        self.bound = max(self.bound, min(bound, self._undecided, self.most))
 
     def _tell(self, stage: str) -> None:
         self.search.tell(stage, self.best, self.bound, self.rounds)
@@ -145,7 +155,7 @@ class ColumnStage:
         elif point is None and not self.stopped and self.best is None:
             return Result(None, np.inf, proven=True, infeasible=True)
         if not self._open and not self.stopped:
-            self.bound = max(self.bound, min(self.cutoff, self._undecided))
+            self._raise_bound(self.cutoff)
         if self.best is None:
             done = not self._open and not self.stopped and np.isinf(self._undecided)
             return Result(None, self.bound, proven=done, infeasible=done)
@@ -160,15 +170,16 @@ class ColumnStage:
         point, before = None, -1.0
         while not self.stopped:
             bound, point = self._solve(root, rounds=60)
-            self.bound = max(self.bound, min(bound, np.inf if self.best is None else self.best.information))
+            self._raise_bound(bound)
             self._tell("root")
             if point is None or self.best is None:
                 return point
-            self._root_bound = bound
+            self._root_bound = self._lagrangian
             self._root_prices = [
                 (self.master.gains(point.dual, r), self.master.pair_gains(point.dual, r),
                  self.master.least_value(point.dual, r)) for r in range(len(self._robots))
             ]  # fmt: skip
+            self.master.forget_levels(point, self.most - self._root_bound + 1e-9)
             news = self._fix()
             if not news and bound - before < 0.1 * (self.best.information - bound):
                 return point
@@ -185,7 +196,7 @@ class ColumnStage:
                 robot.price(gain, pairs, worth, exact_load=False)
                 robot.keep(worth - room)
             elif room < _RETRY * self._too_many.get(r, np.inf):
-                news |= robot.list_all(gain, worth - room, _LIST_ROOM)
+                news |= robot.list_all(gain, worth - room, _LIST_ROOM, dominated=self._dominated_too)
                 self._too_many[r] = room
         return news
 
@@ -193,7 +204,7 @@ class ColumnStage:
         """Branch until nothing is open."""
         while self._open and not self.stopped:
             node = heapq.heappop(self._open)
-            self.bound = max(self.bound, min(node.bound, self.cutoff))
+            self._raise_bound(node.bound)
             if node.bound >= self.cutoff:
                 self._open.clear()
                 break
@@ -205,14 +216,14 @@ class ColumnStage:
             if self.rounds % 10 == 0:
                 self._tell("branch and price")
         if self._open:
-            self.bound = max(self.bound, min(self._open[0].bound, self.cutoff))
+            self._raise_bound(self._open[0].bound)
 
     def _branch(self, node: _Open) -> bool:
         """Solve the children of a node; return False where the effort was used up before."""
         children = self._children(node)
         solved = []
         for child in children:
-            bound, point = self._solve(child, rounds=12)
+            bound, point = self._solve(child, rounds=12, least=node.bound)
             if self.stopped and bound < self.cutoff:
                 return False
             solved.append((max(bound, node.bound), child, point))
@@ -244,11 +255,25 @@ class ColumnStage:
                 return
             if impossible:
                 self.master.forbid(counts)
+                self._list_dominated()
             elif bound >= self.cutoff:
                 return
-        again, new = self._solve(branch, rounds=60)
+        again, new = self._solve(branch, rounds=60, least=bound)
         if new is not None and again < self.cutoff:
             heapq.heappush(self._open, _Open(max(bound, again), next(self._numbers), branch, new))
+
+    def _list_dominated(self) -> None:
+        """List schedules again with those that others beat: what beats them may now be impossible."""
+        if self._dominated_too:
+            return
+        self._dominated_too = True
+        for r, robot in enumerate(self._robots):
+            gain, least = np.zeros((len(robot.places), robot.width)), _NOTHING
+            if self._root_prices:
+                gain, _, worth = self._root_prices[r]
+                least = worth - (self.most - self._root_bound) - 1e-9
+            if robot.pool is not None and not robot.list_all(gain, least, _LIST_ROOM, dominated=True):
+                robot.pool = None
 
     def _counts(self, chosen: list[Codes]) -> dict[tuple[int, int], int]:
         """Return the samples of each class at each candidate."""
@@ -297,31 +322,47 @@ class ColumnStage:
 
     # one node
 
-    def _solve(self, branch: Branch, rounds: int) -> tuple[float, Point | None]:
-        """Return the bound of a node and its solution; None where it is pruned or has none."""
-        master, bound, cuts, slow = self.master, 0.0, 0, 0
+    def _solve(self, branch: Branch, rounds: int, least: float = 0.0) -> tuple[float, Point | None]:
+        """Return the bound of a node and its solution; None where it is pruned or has none.
+
+        Parameters
+        ----------
+        rounds
+            Rounds of cuts.
+        least
+            A bound known already.
+        """
+        try:
+            return self._converge(branch, rounds, least)
+        except ArithmeticError:
+            self._undecided = min(self._undecided, least)
+            return np.inf, None
+
+    def _converge(self, branch: Branch, rounds: int, bound: float) -> tuple[float, Point | None]:
+        master, cuts, slow, grown = self.master, 0, 0, False
         master.impose(branch)
         while True:
-            point = master.solve()
+            point = master.solve(grown=grown)
             if point is None:
                 return np.inf, None
-            lower, added = self._price(branch, point)
-            gained = lower - bound
+            lower, grown = self._price(branch, point)
+            self._lagrangian, gained = lower, lower - bound
             bound = max(bound, lower)
             if bound >= self.cutoff:
                 return bound, None
             if self.stopped:
                 return bound, point
-            if added:
+            if grown:
                 continue
             cuts += 1
-            slow = slow + 1 if gained < 0.01 * (self.most - bound) else 0
-            if cuts > rounds or slow >= 3:
+            slow = slow + 1 if gained < _SLOW * (self.most - bound) else 0
+            if cuts > rounds or slow >= _PATIENCE:
                 break
             if not master.cut(point, max(1e-9, _TOLERANCE * self.search.gap)):
                 break
         master.drop_idle(point)
         if point.missing > INTEGRAL and not self._fractional(point):
+            self._undecided = min(self._undecided, bound)
             return np.inf, None
         return bound, point
 
@@ -372,14 +413,7 @@ class ColumnStage:
         if len(decisions) == 1:
             return sides(self._robots, node.branch, decisions[0])
         tried = [sides(self._robots, node.branch, decision) for decision in decisions[:_STRONG]]
-        return max(tried, key=lambda pair: self._promise(node, pair))
-
-    def _promise(self, node: _Open, pair: list[Branch]) -> float:
-        """Return the product of what the two sides add to the bound, with the schedules known so far."""
-        promise = 1.0
-        for side in pair:
-            self.master.impose(side)
-            point = self.master.solve()
-            value = 2.0 * self.most if point is None else min(point.value, 2.0 * self.most)
-            promise *= max(value - node.point.value, 1e-6 * self.most)
-        return promise
+        rises = self.master.promise(node.branch, [side for pair in tried for side in pair])
+        least = 1e-6 * self.most
+        scores = [max(a, least) * max(b, least) for a, b in zip(rises[::2], rises[1::2], strict=True)]
+        return tried[int(np.argmax(scores))]
