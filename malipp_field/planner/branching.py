@@ -28,9 +28,13 @@ class Count:
 
 @dataclass(frozen=True)
 class Level:
-    """Whether a candidate has this level; ``key`` is (position in V, selector)."""
+    """Whether a candidate has this level; ``key`` is (position in V, selector).
+
+    ``counts`` are its samples of each class that can sample there.
+    """
 
     key: tuple[int, int]
+    counts: tuple[tuple[int, int], ...]
 
 
 @dataclass(frozen=True)
@@ -58,7 +62,10 @@ def options(master: Master, point: Point, parts: Parts) -> list[Decision]:
         if len(own) > 1:
             found += _operations(r, master.robots[r], own)
     found.sort(key=lambda option: -option[0])
-    return [decision for _, decision in found] or [Level(key) for key in split_levels(master, point)]
+    return [decision for _, decision in found] or [
+        Level((i, s), tuple((k, n) for k, n in enumerate(master.z[i][s][0]) if (k, i) in master.n))
+        for i, s in split_levels(master, point)
+    ]
 
 
 def _operations(r: int, robot: Robot, own: Sequence[tuple[float, Codes]]) -> list[tuple[float, Decision]]:
@@ -93,7 +100,7 @@ def split_levels(master: Master, point: Point) -> list[tuple[int, int]]:
 
 
 def sides(robots: Sequence[Robot], branch: Branch, decision: Decision) -> list[Branch]:
-    """Return the two sides of a decision."""
+    """Return the sides of a decision: together they leave nothing out."""
     if isinstance(decision, Count):
         lower, upper = branch.counts.get(decision.key, (0.0, np.inf))
         floor = float(decision.floor)
@@ -102,11 +109,27 @@ def sides(robots: Sequence[Robot], branch: Branch, decision: Decision) -> list[B
             for bounds in ((lower, floor), (floor + 1.0, upper))
         ]
     if isinstance(decision, Level):
-        return [replace(branch, levels=branch.levels | {decision.key: (v, v)}) for v in (1.0, 0.0)]
+        return _level_sides(branch, decision)
     r, w = decision.robot, decision.place
     exact = branch.exact_load | {r} if decision.drops else branch.exact_load
     without = _forbid(branch, twins(robots, branch, r), w, decision.codes)
     return [without, replace(_forbid(branch, [r], w, ~decision.codes), exact_load=exact)]
+
+
+def _level_sides(branch: Branch, decision: Level) -> list[Branch]:
+    """Return the side with the level, and for each class those with fewer and with more samples."""
+    i, _ = decision.key
+    bounds = [
+        ((k, i), side)
+        for k, count in decision.counts
+        for lower, upper in [branch.counts.get((k, i), (0.0, np.inf))]
+        for side in ((lower, count - 1.0), (count + 1.0, upper))
+        if side[0] <= side[1]
+    ]
+    return [
+        replace(branch, levels=branch.levels | {decision.key: (1.0, 1.0)}),
+        *(replace(branch, counts=branch.counts | {key: side}) for key, side in bounds),
+    ]
 
 
 def twins(robots: Sequence[Robot], branch: Branch, r: int) -> list[int]:

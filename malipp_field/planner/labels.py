@@ -339,8 +339,41 @@ def without_dominated(codes, K, limits, most_pick):  # type: ignore[no-untyped-d
 
 
 @njit(cache=True)
-def price_labels(actor, gain, must, exact_load, least, room):  # type: ignore[no-untyped-def]
-    """Find schedules worth more than ``least`` by labelling with dominance.
+def _push(keys, items, size, key, item):  # type: ignore[no-untyped-def]
+    """Put an item on a heap of ``size`` whose largest key is on top."""
+    k = size
+    while k > 0:
+        up = (k - 1) // 2
+        if keys[up] >= key:
+            break
+        keys[k], items[k] = keys[up], items[up]
+        k = up
+    keys[k], items[k] = key, item
+
+
+@njit(cache=True)
+def _pop(keys, items, size):  # type: ignore[no-untyped-def]
+    """Take the top off a heap of ``size``."""
+    top = items[0]
+    key, item = keys[size - 1], items[size - 1]
+    k = 0
+    while True:
+        down = 2 * k + 1
+        if down >= size - 1:
+            break
+        if down + 1 < size - 1 and keys[down + 1] > keys[down]:
+            down += 1
+        if keys[down] <= key:
+            break
+        keys[k], items[k] = keys[down], items[down]
+        k = down
+    keys[k], items[k] = key, item
+    return top
+
+
+@njit(cache=True)
+def price_labels(actor, gain, must, exact_load, least, room, enough):  # type: ignore[no-untyped-def]
+    """Find schedules worth more than ``least`` by labelling with dominance, the most promising labels first.
 
     A label is dominated by one at the same place with no more load, energy or visited places and no less
     value; ``exact_load`` asks for the same load (where dropping less than planned is forbidden somewhere).
@@ -349,6 +382,8 @@ def price_labels(actor, gain, must, exact_load, least, room):  # type: ignore[no
     ----------
     must : uint64
         Places at which the schedule has to do something.
+    room, enough
+        The search ends with so many labels, or so many schedules found.
 
     Returns
     -------
@@ -368,6 +403,10 @@ def price_labels(actor, gain, must, exact_load, least, room):  # type: ignore[no
     value = np.zeros(room)
     parent = np.full(room, -1, np.int32)
     dead = np.zeros(room, np.bool_)
+    done = np.zeros(room, np.bool_)
+    keys = np.zeros(room)
+    heap = np.zeros(room, np.int32)
+    waiting = 0
     follows = np.full(room, -1, np.int32)
     first = np.full(P, -1, np.int32)
     found = np.zeros(room, np.int32)
@@ -378,12 +417,10 @@ def price_labels(actor, gain, must, exact_load, least, room):  # type: ignore[no
     best_gain = np.zeros(P)
     for v in range(P):
         best_gain[v] = max(0.0, gain[v].max())
+    worth_of_i = np.inf
     count = 0
     i = -1
-    while i < count:
-        if i >= 0 and dead[i]:
-            i += 1
-            continue
+    while True:
         for v in range(P):
             if (i < 0) != (v == 0):
                 continue
@@ -455,7 +492,7 @@ def price_labels(actor, gain, must, exact_load, least, room):  # type: ignore[no
                                 beaten = True
                                 break
                             if (
-                                j > i
+                                not done[j]
                                 and spent <= energy[j]
                                 and new >= value[j]
                                 and (load[j] == after or (after < load[j] and not exact_load))
@@ -467,11 +504,9 @@ def price_labels(actor, gain, must, exact_load, least, room):  # type: ignore[no
                     if beaten:
                         continue
                     if count >= room:
-                        open_value = new + rest
-                        for j in range(max(i, 0), count):
-                            if not dead[j]:
-                                at = bound[place[j], load[j], _level(limit - energy[j], step, slack, levels)]
-                                open_value = max(open_value, value[j] + at)
+                        open_value = max(worth_of_i, new + rest)
+                        if waiting > 0:
+                            open_value = max(open_value, keys[0])
                         return open_value, found[:n_found], worths[:n_found], code_of, place, parent
                     k = count
                     mask[k], place[k], load[k], code_of[k] = seen_now, v, after, code - K
@@ -485,13 +520,26 @@ def price_labels(actor, gain, must, exact_load, least, room):  # type: ignore[no
                     if new > least and total <= limit and (seen_now & must) == must:
                         found[n_found], worths[n_found] = k, new
                         n_found += 1
-        i += 1
-    return least, found[:n_found], worths[:n_found], code_of, place, parent
+                    _push(keys, heap, waiting, min(new + rest, new + open_gain), k)
+                    waiting += 1
+        if i >= 0:
+            done[i] = True
+        i = -1
+        while waiting > 0 and i < 0:
+            worth_of_i = keys[0]
+            i = _pop(keys, heap, waiting)
+            waiting -= 1
+            if dead[i]:
+                i = -1
+        if i < 0:
+            return least, found[:n_found], worths[:n_found], code_of, place, parent
+        if n_found >= enough:
+            return worth_of_i, found[:n_found], worths[:n_found], code_of, place, parent
 
 
 @njit(cache=True)
-def scan(codes, K, alive, gain, firsts, seconds, pair_gain, marks, values):  # type: ignore[no-untyped-def]
-    """Write the value of every schedule of a pool into ``values``.
+def scan(codes, K, gain, firsts, seconds, pair_gain, marks, least, values):  # type: ignore[no-untyped-def]
+    """Write the value of every schedule of a pool into ``values``; below ``least`` only a bound on it.
 
     Parameters
     ----------
@@ -500,19 +548,16 @@ def scan(codes, K, alive, gain, firsts, seconds, pair_gain, marks, values):  # t
     gain : array, shape (P, C)
         Indexed by code; minus infinity forbids.
     firsts, seconds, pair_gain : array, shape (Q,)
-        Two columns of ``marks`` and the value of their product.
+        Two columns of ``marks`` and the value of their product, none above zero.
     marks : array, shape (M, 3 P)
         See `schedules.Robot.marks`.
     """
     M, P = codes.shape
     for i in range(M):
-        if not alive[i]:
-            values[i] = -np.inf
-            continue
         total = 0.0
         for w in range(P):
             total += gain[w, codes[i, w] + K]
-        if total > -np.inf:
+        if total > least:
             for k in range(firsts.shape[0]):
                 total += pair_gain[k] * marks[i, firsts[k]] * marks[i, seconds[k]]
         values[i] = total

@@ -282,7 +282,7 @@ class Master:
     def _dropped_where_taken(self, v: int, here: list[tuple[int, int]], t: int) -> None:
         """Add: robots that sample at v and drop t or more there need somebody to pick t at the same time.
 
-        If there are N >= 1 of them, N samples or more are taken at v, so N <= 1 + (n_v - 1); and t are picked.
+        If there are N >= 1 of them, N samples or more are taken at v: N <= 1 + (n_v - 1). And t are picked.
         """
         tables = {}
         for r, w in here:
@@ -465,7 +465,7 @@ class Master:
         return (
             np.array([w for w, _, _ in rows], dtype=np.int64),
             np.array([x for _, x, _ in rows], dtype=np.int64),
-            np.array([value for _, _, value in rows], dtype=float),
+            np.array([min(0.0, value) for _, _, value in rows], dtype=float),
         )
 
     def least_value(self, dual: FloatArray, r: int) -> float:

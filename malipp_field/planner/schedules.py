@@ -31,8 +31,8 @@ MOST_PLACES = 63
 """Places of a robot: those visited are the bits of one word."""
 _FIRST_ROOM = 400_000
 """Labels allowed for listing all schedules of a robot outright."""
-_PRICING_ROOMS = (15_000, 60_000, 240_000)
-"""Labels allowed for pricing, one after the other until something is found or nothing is left to find."""
+_PRICING_ROOM = 100_000
+"""Labels allowed for pricing; with more it ends with a bound."""
 _AT_ONCE = 40
 """Schedules handed to the master in one round, at most."""
 
@@ -43,7 +43,6 @@ class Pool:
 
     codes: Codes
     marks: NDArray[np.int16]
-    alive: NDArray[np.bool_]
     values: FloatArray
 
 
@@ -119,7 +118,7 @@ class Robot:
             self.pool = self._pool(np.ascontiguousarray(self.pool.codes[kept]))
 
     def _pool(self, codes: Codes) -> Pool:
-        return Pool(codes, self.marks(codes), np.ones(len(codes), dtype=np.bool_), np.zeros(len(codes)))
+        return Pool(codes, self.marks(codes), np.zeros(len(codes)))
 
     def price(
         self, gain: FloatArray, pairs: Pairs,
@@ -139,12 +138,9 @@ class Robot:
         if self.pool is not None:
             return self._scan(gain, pairs, least)
         must = sum(1 << w for w in range(len(self.places)) if gain[w, self.capacity] == -np.inf)
-        for room in _PRICING_ROOMS:
-            rest, found, worths, code_of, place, parent = price_labels(
-                self.actor, gain, np.uint64(must), exact_load, least, room
-            )
-            if found.size or rest <= least:
-                break
+        rest, found, worths, code_of, place, parent = price_labels(
+            self.actor, gain, np.uint64(must), exact_load, least, _PRICING_ROOM, 2 * _AT_ONCE
+        )
         order = np.argsort(-worths, kind="stable")[:_AT_ONCE]
         chosen = [self._codes(int(found[k]), code_of, place, parent) for k in order]
         return max(rest, float(worths.max(initial=least))), chosen
@@ -152,7 +148,7 @@ class Robot:
     def _scan(self, gain: FloatArray, pairs: Pairs, least: float) -> tuple[float, list[Codes]]:
         pool = self.pool
         assert pool is not None
-        scan(pool.codes, self.capacity, pool.alive, gain, *pairs, pool.marks, pool.values)
+        scan(pool.codes, self.capacity, gain, *pairs, pool.marks, least, pool.values)
         good = np.flatnonzero(pool.values > least)
         if good.size == 0:
             return max(least, float(pool.values.max(initial=-np.inf))), []

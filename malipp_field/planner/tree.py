@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from malipp_field.field import FloatArray
-from malipp_field.planner.branching import INTEGRAL, only, options, sides, split_levels
+from malipp_field.planner.branching import INTEGRAL, Level, only, options, sides, split_levels
 from malipp_field.planner.extract import TeamPlan
 from malipp_field.planner.improve import Improver
 from malipp_field.planner.master import Branch, Master, Point
@@ -31,12 +31,16 @@ _TOLERANCE = 0.1
 """Part of the gap asked for by which a cut of J has to be violated to be added."""
 _REDUCED_COST = 1e-9
 """Schedules that lower the objective by less are not looked for; J is at most 1 here (`units`)."""
-_LIST_ROOM = 4_000_000
+_LIST_ROOM = 1_500_000
+_LISTING_S = 3.0
+"""Listing takes seconds and cannot be interrupted: it is not begun when less than this is left."""
 _SLOW, _PATIENCE = 0.01, 3
 """Cutting ends after so many rounds in a row that closed less than this share of the gap."""
 _RETRY = 0.8
 """A robot with too many schedules to list is asked again when the gap has become so much smaller."""
-_FIRST_IMPROVEMENTS = 150
+_WALKS = 3
+"""Independent walks of ruin and recreate: one alone may stay in a plan that only a long way leads out of."""
+_FIRST_IMPROVEMENTS = 100
 _IMPROVEMENTS = 4
 """Iterations of ruin and recreate before the search and at every node, for each robot and candidate."""
 _STRONG = 6
@@ -59,7 +63,7 @@ class ColumnStage:
         self.best = start
         self.bound = 0.0
         self.rounds = 0
-        self._improver = Improver(problem, search.seed)
+        self._improvers = [Improver(problem, search.seed + k) for k in range(_WALKS)]
         self._robots = robots_of(problem)
         self._numbers = itertools.count()
         self._open: list[_Open] = []
@@ -142,8 +146,13 @@ class ColumnStage:
                 return Result(None, np.inf, proven=True, infeasible=True)
         self.master = Master(self.problem, self._robots)
         if self.best is None:
-            self.best = self._improver.construct()
-        self._improve(_FIRST_IMPROVEMENTS)
+            self.best = self._improvers[0].construct()
+        begin = self.best
+        for improver in self._improvers:
+            if begin is not None:
+                team = improver.improve(begin, self._iterations(_FIRST_IMPROVEMENTS), self.search.effort)
+                self.best = min(team, self.best or team, key=lambda plan: plan.rank)
+                self._tell("ruin and recreate")
         if self.best is not None:
             self._learn(self.best)
         root = Branch([np.zeros((len(robot.places), robot.width), dtype=bool) for robot in self._robots])
@@ -195,7 +204,7 @@ class ColumnStage:
             if robot.pool is not None:
                 robot.price(gain, pairs, worth, exact_load=False)
                 robot.keep(worth - room)
-            elif room < _RETRY * self._too_many.get(r, np.inf):
+            elif room < _RETRY * self._too_many.get(r, np.inf) and self.search.effort.left_s > _LISTING_S:
                 news |= robot.list_all(gain, worth - room, _LIST_ROOM, dominated=self._dominated_too)
                 self._too_many[r] = room
         return news
@@ -212,7 +221,7 @@ class ColumnStage:
             if not self._branch(node):
                 heapq.heappush(self._open, node)
                 break
-            self._improve(_IMPROVEMENTS)
+            self._improve()
             if self.rounds % 10 == 0:
                 self._tell("branch and price")
         if self._open:
@@ -259,8 +268,13 @@ class ColumnStage:
             elif bound >= self.cutoff:
                 return
         again, new = self._solve(branch, rounds=60, least=bound)
-        if new is not None and again < self.cutoff:
-            heapq.heappush(self._open, _Open(max(bound, again), next(self._numbers), branch, new))
+        if new is None or again >= self.cutoff:
+            return
+        anew = self._integral(new)
+        if team is not None and anew is not None and all(map(np.array_equal, anew, chosen)):
+            self._undecided = min(self._undecided, again)  # the cuts are as sharp as rounding lets them be
+        else:
+            self._push(max(bound, again), branch, new)
 
     def _list_dominated(self) -> None:
         """List schedules again with those that others beat: what beats them may now be impossible."""
@@ -312,13 +326,17 @@ class ColumnStage:
                 return
             here = new
 
-    def _improve(self, iterations: int) -> None:
+    def _improve(self) -> None:
+        """Go on with one of the walks of ruin and recreate."""
         if self.best is not None:
             before = self.best
-            iterations *= len(self._robots) * max(1, len(self.problem.candidates))
-            self.best = self._improver.improve(before, iterations, self.search.effort)
+            improver = self._improvers[self.rounds % len(self._improvers)]
+            self.best = improver.improve(before, self._iterations(_IMPROVEMENTS), self.search.effort)
             if self.best is not before:
                 self._better("ruin and recreate")
+
+    def _iterations(self, each: int) -> int:
+        return each * len(self._robots) * max(1, len(self.problem.candidates))
 
     # one node
 
@@ -369,11 +387,13 @@ class ColumnStage:
     def _price(self, branch: Branch, point: Point) -> tuple[float, bool]:
         """Add schedules that lower the master's objective; return a bound on J and whether any were added."""
         bound, added, total = point.value, False, 0.0
+        # listed schedules are priced at once: first what they give
         todo = sorted(range(len(self._robots)), key=lambda r: self._robots[r].pool is None)
+        priced = [r for r in todo if self._robots[r].pool is None]
         for r in todo:
             robot = self._robots[r]
-            if robot.pool is None and added:
-                return 0.0, True  # listing is quick: first what it gives
+            if added and priced and r == priced[0]:
+                return 0.0, True
             gain = np.where(branch.forbidden[r], -np.inf, self.master.gains(point.dual, r))
             least = self.master.least_value(point.dual, r)
             most, found = robot.price(
@@ -410,7 +430,7 @@ class ColumnStage:
         if not decisions:
             self._undecided = min(self._undecided, node.bound)
             return []
-        if len(decisions) == 1:
+        if len(decisions) == 1 or isinstance(decisions[0], Level):
             return sides(self._robots, node.branch, decisions[0])
         tried = [sides(self._robots, node.branch, decision) for decision in decisions[:_STRONG]]
         rises = self.master.promise(node.branch, [side for pair in tried for side in pair])

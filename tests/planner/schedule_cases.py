@@ -141,7 +141,7 @@ def master_gain(rng: np.random.Generator, actor: Actor, *, samples_pay: bool = F
     taken[:, 0] = 0.0
     if samples_pay:
         taken = np.abs(taken)
-    return (taken[:, :, None] + exchange[:, None, :]).reshape(places, -1)
+    return np.asarray((taken[:, :, None] + exchange[:, None, :]).reshape(places, -1))
 
 
 def exchange_of(actor: Actor) -> NDArray[np.int64]:

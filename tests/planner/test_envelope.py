@@ -34,6 +34,15 @@ class Field:
             for own, g in zip(self.counts, self.gained, strict=True)
         ]
 
+    @property
+    def apart(self) -> list[list[Level]]:
+        """Return a level for every selector."""
+        return [
+            [Level((), 0.0, (0,) * len(self.classes))]
+            + [Level((s,), float(np.dot(c, self.classes)), c) for s, c in enumerate(own)]
+            for own in self.counts
+        ]
+
     def plans(self) -> Iterator[tuple[int, ...]]:
         """Yield every combination of selectors; -1 is not sampled."""
         return itertools.product(*(range(-1, len(own)) for own in self.counts))
@@ -68,7 +77,8 @@ def make(
     places, tests = rng.uniform(0.0, 5.0, (len(most), 2)), rng.uniform(0.0, 5.0, (3, 2))
 
     def covariance(a: FloatArray, b: FloatArray) -> FloatArray:
-        return np.exp(-((a[:, None] - b[None]) ** 2).sum(axis=2) / 8.0)
+        squared: FloatArray = ((a[:, None] - b[None]) ** 2).sum(axis=2)
+        return np.asarray(np.exp(-squared / 8.0))
 
     information = Information(
         covariance(places, places), covariance(tests, places), np.ones(3), rng.uniform(0.5, 2.0, 3)
@@ -133,11 +143,8 @@ def test_every_cut_holds_at_every_plan(name: str) -> None:
 @pytest.mark.parametrize("name", ["one each", "both classes", "three classes"])
 def test_cuts_touch_at_plans(name: str) -> None:
     field = _FIELDS[name]
-    levels = [[Level((), 0.0, (0,) * len(field.classes)),
-               *(Level((s,), float(np.dot(c, field.classes)), c) for s, c in enumerate(own))]
-              for own in field.counts]  # fmt: skip
     for plan in field.plans():
-        cut = Envelope(field.information, levels).separate(field.share(plan), field.together(plan))
+        cut = Envelope(field.information, field.apart).separate(field.share(plan), field.together(plan))
         assert cut is not None
         assert at(cut, field.share(plan), field.together(plan)) == pytest.approx(field.value(plan), abs=1e-6)
 
@@ -164,7 +171,7 @@ def test_candidates_outside_the_cluster_are_taken_at_their_highest() -> None:
 @pytest.mark.parametrize("name", ["one each", "both classes", "three classes"])
 def test_between_plans_the_envelope_lies_between_tangents_and_the_average(name: str) -> None:
     field, rng, above = _FIELDS[name], np.random.default_rng(3), 0.0
-    envelope = Envelope(field.information, field.levels)
+    envelope = Envelope(field.information, field.apart)
     groups = split_information(field.information, np.ones(len(field.counts), dtype=np.bool_), 40.0)
     precision = [np.array([np.dot(c, field.classes) for c in own]) for own in field.counts]
     for _ in range(20):

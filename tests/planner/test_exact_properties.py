@@ -31,7 +31,8 @@ from missions_strategy import (
 from malipp_field.mission import Mission, TeamState, initial_state
 from malipp_field.mission.schema import Method
 from malipp_field.plan import Plan
-from malipp_field.planner import Progress, relaxation_bound, solve, verify
+from malipp_field.planner import Progress, solve, verify
+from malipp_field.planner.relaxation import relaxation_bound
 
 _GAP = 1e-6
 _MARGIN = 1.0 + 4 * _GAP

@@ -64,7 +64,7 @@ def priced(
     """Return the bound on the rest, and the value of every schedule found."""
     must = sum(1 << w for w in range(len(gain)) if gain[w, actor.capacity] == -np.inf)
     rest, found, worths, code_of, place, parent = price_labels(
-        actor, gain, np.uint64(must), exact_load, least, room
+        actor, gain, np.uint64(must), exact_load, least, room, room
     )
     values = {
         _vector(actor, int(k), code_of, place, parent): float(w) for k, w in zip(found, worths, strict=True)

@@ -14,7 +14,8 @@ from random_missions import part_way, tiny_mission
 from malipp_field.mission import Cache, Mission, RobotState, TeamState, initial_state, read_mission
 from malipp_field.mission.schema import Method
 from malipp_field.plan import Plan
-from malipp_field.planner import Progress, relaxation_bound, solve, verify
+from malipp_field.planner import Progress, solve, verify
+from malipp_field.planner.relaxation import relaxation_bound
 
 MISSIONS = Path(__file__).parents[2] / "missions"
 FEW = settings(max_examples=5, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
