@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from malipp_field.planner.master import Branch, Master, Point
+from malipp_field.planner.columns import Branch, Point
+from malipp_field.planner.master import Master
 from malipp_field.planner.schedules import Codes, Robot
 
 INTEGRAL = 1e-6

@@ -18,7 +18,8 @@ from malipp_field.field import FloatArray
 from malipp_field.planner.branching import INTEGRAL, Level, only, options, sides, split_levels
 from malipp_field.planner.extract import TeamPlan
 from malipp_field.planner.improve import Improver
-from malipp_field.planner.master import Branch, Master, Point
+from malipp_field.planner.columns import Branch, Point
+from malipp_field.planner.master import Master
 from malipp_field.planner.problem import Problem
 from malipp_field.planner.progress import Result, Search, relative_gap
 from malipp_field.planner.realise import realise

@@ -22,7 +22,8 @@ from malipp_field.planner.branching import (
     sides,
     split_levels,
 )
-from malipp_field.planner.master import Branch, Master
+from malipp_field.planner.columns import Branch
+from malipp_field.planner.master import Master
 from malipp_field.planner.schedules import Codes
 
 _MISSIONS: dict[str, tuple[Mission, TeamState | None]] = {
