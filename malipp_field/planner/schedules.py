@@ -13,8 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from malipp_field.field import FloatArray
-from malipp_field.planner.labels import Actor, price_labels
-from malipp_field.planner.listing import complete_schedules, enumerate_labels, scan, without_dominated
+from malipp_field.planner.labels import (
+    Actor,
+    complete_schedules,
+    enumerate_labels,
+    price_labels,
+    scan,
+    without_dominated,
+)
 from malipp_field.planner.problem import Problem
 
 Codes = NDArray[np.int16]

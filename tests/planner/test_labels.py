@@ -19,8 +19,14 @@ from schedule_cases import (
     value_of,
 )
 
-from malipp_field.planner.labels import Actor, completion, price_labels
-from malipp_field.planner.listing import complete_schedules, enumerate_labels, without_dominated
+from malipp_field.planner.labels import (
+    Actor,
+    complete_schedules,
+    completion,
+    enumerate_labels,
+    price_labels,
+    without_dominated,
+)
 
 _ALL = -1e300
 _ROOM = 100_000
