@@ -18,6 +18,8 @@ help:  ## this list
 	@# Without --no-compile pip spends half of the time on byte code that is never run.
 	@$(BIN)/python -m pip install --no-compile --progress-bar off --disable-pip-version-check \
 		--constraint constraints.txt --editable '.[dev]' | sed -nE 's/^Collecting ([^ ]+).*/  \1/p'
+	@echo "Compiling the planner's inner loops (about a minute the first time) ..."
+	@$(BIN)/python -m malipp_field.planner.warm
 	@touch $@
 
 setup: .venv/.ready  ## a .venv with pinned dependencies
@@ -34,8 +36,9 @@ lint: setup  ## ruff, mypy strict, import contracts
 test: lint  ## lint, then all tests
 	@$(BIN)/pytest
 
-bench: setup  ## measure planning; the results page is benchmarks/README.md
+bench: setup  ## measure planning (some 20 minutes); the results pages are in benchmarks/
 	@$(BIN)/python benchmarks/planning.py
+	@$(BIN)/python benchmarks/exact.py --sizes 2x5,3x6,2x10 --seeds 2 --literal-limit 60
 
 screenshots: setup  ## the README's picture from a fresh run (needs xvfb and a software Vulkan)
 	@PATH="$(CURDIR)/$(BIN):$$PATH" docs/screenshots.sh
