@@ -75,9 +75,9 @@ def _heading(time_limit_s: float) -> str:
     return (
         "# Measured\n\n"
         "Planning the shipped missions by every method, in one run: `make bench` repeats it\n"
-        "(`.venv/bin/python benchmarks/planning.py --write` replaces this page). Other pages: the exact planner\n"
-        "against the paper's literal model ([exact.md](exact.md)), and the agreement of all exact methods\n"
-        "([agreement.md](agreement.md)).\n\n"
+        "(`.venv/bin/python benchmarks/planning.py --write` replaces this page). Other pages: the exact\n"
+        "planner against the paper's literal model ([exact.md](exact.md)), and the agreement of all exact\n"
+        "methods ([agreement.md](agreement.md)).\n\n"
         f"- limit for each plan: {time_limit_s:.0f} s\n"
         f"- date: {datetime.datetime.now(tz=datetime.UTC).date()}\n"
         f"- machine: {os.cpu_count()} cores, {platform.machine()}, {platform.system()}\n"
