@@ -16,9 +16,9 @@ import numpy as np
 
 from malipp_field.field import FloatArray
 from malipp_field.planner.branching import INTEGRAL, Level, only, options, sides, split_levels
+from malipp_field.planner.columns import Branch, Point
 from malipp_field.planner.extract import TeamPlan
 from malipp_field.planner.improve import Improver
-from malipp_field.planner.columns import Branch, Point
 from malipp_field.planner.master import Master
 from malipp_field.planner.problem import Problem
 from malipp_field.planner.progress import Result, Search, relative_gap
@@ -31,7 +31,7 @@ _NOTHING = -1e300
 _TOLERANCE = 0.1
 """Part of the gap asked for by which a cut of J has to be violated to be added."""
 _REDUCED_COST = 1e-9
-"""Schedules that lower the objective by less are not looked for; J is at most 1 here (`units`)."""
+"""Schedules that lower the objective by less are not looked for; J is at most 1 here (`in_units`)."""
 _LIST_ROOM = 1_500_000
 _LISTING_S = 3.0
 """Listing takes seconds and cannot be interrupted: it is not begun when less than this is left."""
@@ -105,7 +105,7 @@ class ColumnStage:
         self.bound = max(self.bound, min(bound, self._undecided, self.most))
 
     def _tell(self, stage: str) -> None:
-        self.search.tell(stage, self.best, self.bound, self.rounds)
+        self.search.tell(stage, self.best, self.bound or None, self.rounds)
 
     def _offer(self, team: TeamPlan | None) -> None:
         if team is not None and (self.best is None or team.rank < self.best.rank):
@@ -157,33 +157,35 @@ class ColumnStage:
         if self.best is not None:
             self._learn(self.best)
         root = Branch([np.zeros((len(robot.places), robot.width), dtype=bool) for robot in self._robots])
-        point = self._root(root)
+        solved, point = self._root(root)
         if point is not None and self.bound < self.cutoff:
             self._push(self.bound, root, point)
             self._dive(root, point)
             self._grow()
-        elif point is None and not self.stopped and self.best is None:
-            return Result(None, np.inf, proven=True, infeasible=True)
-        if not self._open and not self.stopped:
+        done = solved and not self._open
+        if done:
             self._raise_bound(self.cutoff)
         if self.best is None:
-            done = not self._open and not self.stopped and np.isinf(self._undecided)
-            return Result(None, self.bound, proven=done, infeasible=done)
+            none = done and np.isinf(self._undecided)
+            return Result(None, self.bound, proven=none, infeasible=none)
         self.bound = min(self.bound, self.best.information)
         gap = relative_gap(self.best.information, self.bound)
         proven = self.best.information <= 1e-9 or (gap is not None and gap <= self.search.gap * 1.0001)
         self._tell("branch and price")
         return Result(self.best, self.bound, proven=proven)
 
-    def _root(self, root: Branch) -> Point | None:
-        """Solve the root, forget schedules that cannot be part of a better plan, and list what was priced."""
+    def _root(self, root: Branch) -> tuple[bool, Point | None]:
+        """Solve the root, forget schedules that cannot be part of a better plan, and list what was priced.
+
+        Returns whether it was solved at all, and its point; none where nothing better is left to find.
+        """
         point, before = None, -1.0
         while not self.stopped:
             bound, point = self._solve(root, rounds=60)
             self._raise_bound(bound)
             self._tell("root")
             if point is None or self.best is None:
-                return point
+                return True, point
             self._root_bound = self._lagrangian
             self._root_prices = [
                 (self.master.gains(point.dual, r), self.master.pair_gains(point.dual, r),
@@ -192,9 +194,9 @@ class ColumnStage:
             self.master.forget_levels(point, self.most - self._root_bound + 1e-9)
             news = self._fix()
             if not news and bound - before < 0.1 * (self.best.information - bound):
-                return point
+                break
             before = bound
-        return point
+        return before >= 0.0 or point is not None, point
 
     def _fix(self) -> bool:
         """Keep schedules whose reduced cost at the root is within the gap; tell if any were listed anew."""
@@ -308,7 +310,7 @@ class ColumnStage:
 
     def _dive(self, branch: Branch, point: Point) -> None:
         """Fix the schedule of one robot after the other, the surest first."""
-        here = point
+        here, undecided = point, self._undecided
         while not self.stopped:
             parts = self._parts(here)
             choice = max(
@@ -323,6 +325,7 @@ class ColumnStage:
             _, r, codes = choice
             branch = only(branch, r, codes, self._robots[r].capacity)
             bound, new = self._solve(branch, rounds=3)
+            self._undecided = undecided  # a dive leaves nothing out: what it cannot decide is still open
             if new is None or bound >= self.cutoff:
                 return
             here = new
