@@ -30,6 +30,10 @@ _NOTHING = -1e300
 """Less than any schedule is worth."""
 _TOLERANCE = 0.1
 """Part of the gap asked for by which a cut of J has to be violated to be added."""
+_WITHIN = 0.999
+"""The part of the gap asked for that is used: what is proven stays within it whatever is rounded later."""
+_EXACT = 1e-9
+"""The least gap that can be told from none."""
 _REDUCED_COST = 1e-9
 """Schedules that lower the objective by less are not looked for; J is at most 1 here (`in_units`)."""
 _LIST_ROOM = 1_500_000
@@ -87,7 +91,7 @@ class ColumnStage:
         """The bound from which on nothing better than the gap asked for can follow."""
         if self.best is None:
             return self.problem.information.prior * (1.0 + 1e-9)
-        return self.best.information * (1.0 - self.search.gap) - 1e-12
+        return self.best.information * (1.0 - _WITHIN * self.search.gap) - 1e-12
 
     @property
     def most(self) -> float:
@@ -170,7 +174,7 @@ class ColumnStage:
             return Result(None, self.bound, proven=none, infeasible=none)
         self.bound = min(self.bound, self.best.information)
         gap = relative_gap(self.best.information, self.bound)
-        proven = self.best.information <= 1e-9 or (gap is not None and gap <= self.search.gap * 1.0001)
+        proven = self.best.information <= 1e-9 or (gap is not None and gap <= max(self.search.gap, _EXACT))
         self._tell("branch and price")
         return Result(self.best, self.bound, proven=proven)
 
