@@ -6,11 +6,14 @@
          sum_l counts_k(l) z_vl = n_kv,  sum_l z_vl <= 1                 (eq:precision_select)
          sum_r sum_c h_cv lambda_rc >= stock_v                           what is dropped is picked
          sum_{r' != r} min(t, picks_r'v) >= t [drops_rv >= t]            the same, drop by drop
-         theta_G >= tangents and envelopes of J                          (`cuts`, `envelope`)
+         [samples at u and drops at v], summed over robots, at most
+            robots that pick at v + samples at u beyond the first        drops tied to samples
+        theta_G >= tangents and envelopes of J                          (`cuts`, `envelope`)
 
 Its columns lambda are priced by `schedules`; every row is a sum over places of something that depends on the
 code there, so pricing needs no more than a table of gains, one for each code at each place. The rows of
-pairs, E[n_u n_v] in the envelopes, are the exception: they ask for listed schedules.
+products (E[n_u n_v] in the envelopes; samples at u with drops at v) are the exception: only schedules that are
+listed count in them.
 """
 
 from __future__ import annotations
@@ -29,7 +32,7 @@ from malipp_field.planner.cuts import split_information
 from malipp_field.planner.envelope import Envelope, Pair, levels_of
 from malipp_field.planner.linear import INFINITY
 from malipp_field.planner.problem import Problem
-from malipp_field.planner.schedules import Codes, Robot
+from malipp_field.planner.schedules import Codes, Pairs, Robot
 
 _PENALTY = 100.0
 """Cost of what no schedule does yet, in priors: only to have a solution from the start."""
@@ -376,7 +379,7 @@ class Master:
         gains: FloatArray = dual[self._feature_rows] @ self._tables[r]
         return gains.reshape(len(robot.places), robot.width)
 
-    def pair_gains(self, dual: FloatArray, r: int) -> tuple[NDArray[np.int64], NDArray[np.int64], FloatArray]:
+    def pair_gains(self, dual: FloatArray, r: int) -> Pairs:
         """Return the products that schedules of robot r count in, and their values."""
         rows = [(w, x, dual[self._product[product][1]]) for product, (w, x) in self._product_marks[r].items()]
         rows = [entry for entry in rows if entry[2] != 0.0]

@@ -131,7 +131,7 @@ class Robot:
         gain : array, shape (P, C)
             Value of every code; minus infinity forbids it.
         pairs
-            Places u, v and the value of every pair of samples at them (listed schedules only).
+            Columns of `marks` and the value of their product (listed schedules only).
         exact_load
             See `labels.price_labels`.
         """
