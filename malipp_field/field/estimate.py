@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import cho_factor, cho_solve
 
 from malipp_field.field.kernel import FloatArray, covariance
 from malipp_field.mission.schema import Kernel
@@ -40,7 +39,7 @@ def posterior(
     Returns
     -------
     mean, std : arrays, shape (P,)
-        Rasmussen and Williams, algorithm 2.1.
+        Rasmussen and Williams, equations 2.23 and 2.24.
     """
     places = np.asarray(places_m, dtype=np.float64).reshape(-1, 2)
     prior = np.full(len(places), kernel.variance)
@@ -48,8 +47,8 @@ def posterior(
         return np.zeros(len(places)), np.sqrt(prior)
     x = np.array([(o.x_m, o.y_m) for o in observations])
     noise = np.diag([o.noise_variance for o in observations])
-    factor = cho_factor(covariance(kernel, x, x) + noise, lower=True)
     cross = covariance(kernel, places, x)
-    mean = cross @ cho_solve(factor, np.array([o.value for o in observations]))
-    variance = prior - np.einsum("pv,vp->p", cross, cho_solve(factor, cross.T))
+    gain = np.linalg.solve(covariance(kernel, x, x) + noise, cross.T).T
+    mean = gain @ np.array([o.value for o in observations])
+    variance = prior - np.einsum("pv,pv->p", cross, gain)
     return mean, np.sqrt(np.maximum(variance, 0.0))

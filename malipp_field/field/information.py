@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
 
 from malipp_field.field.kernel import FloatArray, covariance
 from malipp_field.mission import Mission, locate, node_positions
@@ -55,9 +54,8 @@ class Information:
         """
         root = np.sqrt(np.maximum(np.asarray(precision, dtype=np.float64), 0.0))
         b = np.eye(root.size) + root[:, None] * self.k_vv * root[None, :]
-        factor = cho_factor(b, lower=True)
         scaled = self.k_tv * root  # K_TV S
-        gain = cho_solve(factor, scaled.T).T  # K_TV S B^-1
+        gain = np.linalg.solve(b, scaled.T).T  # K_TV S B^-1
         posterior = self.k_tt - np.einsum("tv,tv->t", gain, scaled)
         cross = self.k_tv - (gain * root) @ self.k_vv
         return float(self.weights @ posterior), -(self.weights @ cross**2)

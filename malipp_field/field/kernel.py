@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.distance import cdist
 
 from malipp_field.mission.schema import Kernel
 
@@ -28,7 +27,8 @@ def covariance(kernel: Kernel, a_m: ArrayLike, b_m: ArrayLike) -> FloatArray:
     """
     a = np.asarray(a_m, dtype=np.float64).reshape(-1, 2)
     b = np.asarray(b_m, dtype=np.float64).reshape(-1, 2)
-    d: FloatArray = cdist(a, b) / kernel.length_scale_m
+    apart_m = a[:, None, :] - b[None, :, :]
+    d: FloatArray = np.hypot(apart_m[..., 0], apart_m[..., 1]) / kernel.length_scale_m
     if kernel.family == "rbf":
         shape: FloatArray = np.exp(-0.5 * d**2)
     elif kernel.family == "matern32":

@@ -6,18 +6,23 @@ cheapest for every load and can be found before anything is planned (Problem Set
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import heapq
+import math
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import count, pairwise
 from typing import cast
 
-import networkx as nx
 import numpy as np
 
 from malipp_field.field import FloatArray
 from malipp_field.mission import Passage
 
 Path = tuple[str, ...]
+Ways = Mapping[str, Mapping[str, float]]
+"""What it takes to get from a node to each of its neighbours."""
 
 _TIE = 1e-9
 """Paths whose energies differ by less than this share count as equally cheap; the faster one is taken."""
@@ -49,34 +54,60 @@ class Closure:
 
 def closure(passages: Iterable[Passage], nodes: Sequence[str], terminals: Sequence[int]) -> Closure:
     """Return the closure over ``nodes``, filled in between the members of ``terminals`` (indices)."""
-    graph: nx.DiGraph[str] = nx.DiGraph()
-    graph.add_nodes_from(nodes)
+    energies: defaultdict[str, dict[str, float]] = defaultdict(dict)
+    times: defaultdict[str, dict[str, float]] = defaultdict(dict)
     for passage in passages:
-        graph.add_edge(passage.tail, passage.head, energy=passage.energy_per_kg, time=passage.time_s)
+        energies[passage.tail][passage.head] = passage.energy_per_kg
+        times[passage.tail][passage.head] = passage.time_s
     energy = np.full((len(nodes), len(nodes)), np.inf)
     time = np.full_like(energy, np.inf)
     paths: dict[tuple[int, int], Path] = {}
     for u in terminals:
-        legs = _cheapest_paths(graph, nodes[u])
+        legs = _cheapest_paths(energies, times, nodes[u])
         for v in terminals:
             path = legs.get(nodes[v])
             if path is None:
                 continue
             paths[u, v] = path
-            energy[u, v] = nx.path_weight(graph, path, "energy")
-            time[u, v] = nx.path_weight(graph, path, "time")
+            energy[u, v] = sum(energies[a][b] for a, b in pairwise(path))
+            time[u, v] = sum(times[a][b] for a, b in pairwise(path))
     return Closure(energy, time, paths)
 
 
-def _cheapest_paths(graph: nx.DiGraph[str], source: str) -> dict[str, Path]:
+def _cheapest_paths(energies: Ways, times: Ways, source: str) -> dict[str, Path]:
     """Return the minimum-energy path to every node that can be reached, the fastest among equals."""
-    cost: dict[str, float] = nx.single_source_dijkstra_path_length(graph, source, weight="energy")
-    tight: nx.DiGraph[str] = nx.DiGraph()
-    tight.add_node(source)
-    for tail, head, data in graph.edges(data=True):
-        if tail in cost and cost[tail] + data["energy"] <= cost[head] * (1.0 + _TIE):
-            tight.add_edge(tail, head, time=data["time"])
-    return {
-        node: tuple(path)
-        for node, path in nx.single_source_dijkstra_path(tight, source, weight="time").items()
+    least, _ = _dijkstra(energies, source)
+    tight = {
+        tail: {head: times[tail][head] for head in heads if cost + heads[head] <= least[head] * (1.0 + _TIE)}
+        for tail, cost in least.items()
+        if (heads := energies.get(tail))
     }
+    _, before = _dijkstra(tight, source)
+    paths = {source: (source,)}
+    for node, tail in before.items():  # in the order of arrival: a path's beginning is known before its end
+        paths[node] = (*paths[tail], node)
+    return paths
+
+
+def _dijkstra(ways: Ways, source: str) -> tuple[dict[str, float], dict[str, str]]:
+    """Return the least sum of weights to every node that can be reached, and the node before it.
+
+    Both in the order of arrival; the source has no node before it.
+    """
+    least: dict[str, float] = {}
+    before: dict[str, str] = {}
+    best = {source: 0.0}
+    turn = count()
+    queue = [(0.0, next(turn), source, source)]
+    while queue:
+        cost, _, node, tail = heapq.heappop(queue)
+        if node in least:
+            continue
+        least[node] = cost
+        if node != source:
+            before[node] = tail
+        for head, weight in ways.get(node, {}).items():
+            if cost + weight < best.get(head, math.inf):
+                best[head] = cost + weight
+                heapq.heappush(queue, (best[head], next(turn), head, node))
+    return least, before

@@ -18,7 +18,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import eigvalsh
 
 from malipp_field.field import FloatArray, Information
 
@@ -80,9 +79,9 @@ def diagonal_share(
     share = np.zeros(len(k_vv))
     base = k_vv - _SLACK * float(np.diag(k_vv).max(initial=0.0)) * np.eye(len(k_vv))
     index = np.flatnonzero(free)
-    if index.size == 0 or eigvalsh(base)[0] <= 0.0:
+    if index.size == 0 or np.linalg.eigvalsh(base)[0] <= 0.0:
         return share
-    share[index] = 0.5 * eigvalsh(base)[0]
+    share[index] = 0.5 * np.linalg.eigvalsh(base)[0]
     w = weights[index] / max(float(weights.max()), 1e-300) + 1e-3
     for mu in _BARRIERS:
         for _ in range(12):
@@ -105,7 +104,7 @@ def _step_length(base: FloatArray, share: FloatArray, index: NDArray[np.int64], 
     while length > 1e-9:
         moved = share.copy()
         moved[index] += length * step
-        if moved[index].min() > 0.0 and eigvalsh(base - np.diag(moved))[0] > 0.0:
+        if moved[index].min() > 0.0 and np.linalg.eigvalsh(base - np.diag(moved))[0] > 0.0:
             return length if length == 1.0 else 0.9 * length
         length *= 0.5
     return 0.0

@@ -9,9 +9,7 @@ from __future__ import annotations
 from collections import Counter, defaultdict
 from typing import NamedTuple
 
-import networkx as nx
-
-from malipp_field.planner.extract import Route, TeamPlan, Visit, precedence, tidy
+from malipp_field.planner.extract import Route, TeamPlan, Visit, in_order, precedence, tidy
 from malipp_field.planner.problem import Problem
 
 COLLECTED, ON_BOARD, STOCK = 0, 1, 2
@@ -130,7 +128,9 @@ def draft_of(problem: Problem, team: TeamPlan) -> Draft:
     held = [[Sample(ON_BOARD, robot.start, r)] * robot.on_board for r, robot in enumerate(problem.robots)]
     lying: dict[tuple[int, int, int], list[Sample]] = {}
     home: list[Sample] = []
-    for r, k in nx.topological_sort(precedence(problem, team.routes)):
+    order = in_order(precedence(problem, team.routes))
+    assert order is not None, "a team plan whose stops wait in a circle"
+    for r, k in order:
         visit, hand = team.routes[r][k], held[r]
         hand += [Sample(COLLECTED, visit.node, r)] * visit.collect
         for receiver, count in visit.drop.items():

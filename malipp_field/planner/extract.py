@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from graphlib import CycleError, TopologicalSorter
 from itertools import pairwise
 
-import networkx as nx
 import numpy as np
 
 from malipp_field.field import FloatArray
@@ -41,6 +41,8 @@ class Visit:
 
 Route = tuple[Visit, ...]
 """From the start to the terminal; a robot that stays at an authorised depot has one visit."""
+Place = tuple[int, int]
+"""A stop: robot, and index in its route."""
 
 
 @dataclass(frozen=True)
@@ -165,37 +167,53 @@ def leg_energies(problem: Problem, robot: RobotView, route: Route) -> list[float
 
 def earliest_departures(problem: Problem, routes: tuple[Route, ...]) -> tuple[tuple[float, ...], ...] | None:
     """Return t_v^r of the schedule in which nobody waits without need; None where drops wait in a circle."""
-    graph = precedence(problem, routes)
-    if not nx.is_directed_acyclic_graph(graph):
+    later = precedence(problem, routes)
+    order = in_order(later)
+    if order is None:
         return None
     soonest = {}
     for r, (robot, route) in enumerate(zip(problem.robots, routes, strict=True)):
         for k, visit in enumerate(route):
             fetched = [problem.stocks[s].available_s for s in visit.fetch]
             soonest[r, k] = max([robot.ready_s, *fetched]) + problem.service_time_s
-    for stop in nx.topological_sort(graph):
-        for _, later, data in graph.out_edges(stop, data=True):
-            soonest[later] = max(soonest[later], soonest[stop] + data["wait"])
+    for stop in order:
+        for after, wait_s in later[stop].items():
+            soonest[after] = max(soonest[after], soonest[stop] + wait_s)
     return tuple(tuple(soonest[r, k] for k in range(len(route))) for r, route in enumerate(routes))
 
 
-def precedence(problem: Problem, routes: tuple[Route, ...]) -> nx.DiGraph[tuple[int, int]]:
-    """Return stops (robot, index), joined by legs (eq:time_propagation) and drops (eq:deaddrop_sync).
+def in_order(later: Mapping[Place, Mapping[Place, float]]) -> list[Place] | None:
+    """Return all stops, each before those that wait for it (`precedence`); None where they wait in a circle."""
+    sorter: TopologicalSorter[Place] = TopologicalSorter({stop: () for stop in later})
+    for stop, following in later.items():
+        for after in following:
+            sorter.add(after, stop)
+    try:
+        return list(sorter.static_order())
+    except CycleError:
+        return None
 
-    The attribute ``wait`` of an edge is the time between the two departures, in seconds.
+
+def precedence(problem: Problem, routes: tuple[Route, ...]) -> dict[Place, dict[Place, float]]:
+    """Return what follows each stop by a leg (eq:time_propagation) or a drop (eq:deaddrop_sync).
+
+    The values are the least times between the two departures, in seconds.
     """
     beta = problem.service_time_s
-    graph: nx.DiGraph[tuple[int, int]] = nx.DiGraph()
+    later: dict[Place, dict[Place, float]] = {}
     stop_of = {(r, visit.node): k for r, route in enumerate(routes) for k, visit in _operating(route)}
     for r, (robot, route) in enumerate(zip(problem.robots, routes, strict=True)):
-        graph.add_nodes_from((r, k) for k in range(len(route)))
+        for k in range(len(route)):
+            later.setdefault((r, k), {})
         for k, visit in enumerate(route):
             if k:
                 leg_s = float(robot.closure.time_s[route[k - 1].node, visit.node])
-                graph.add_edge((r, k - 1), (r, k), wait=leg_s + beta)
+                later[r, k - 1][r, k] = leg_s + beta
             for o in visit.drop:
-                graph.add_edge((r, k), (o, stop_of[o, visit.node]), wait=beta + problem.clearance_s)
-    return graph
+                after = o, stop_of[o, visit.node]
+                later.setdefault(after, {})
+                later[r, k][after] = beta + problem.clearance_s
+    return later
 
 
 def _operating(route: Route) -> list[tuple[int, Visit]]:

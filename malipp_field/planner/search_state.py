@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve
 
 from malipp_field.field import FloatArray, Information
 from malipp_field.planner.draft import ON_BOARD, STOCK, Draft, Sample
@@ -330,8 +329,8 @@ def _handoffs(problem: Problem) -> BoolArray:
 def _posterior(information: Information, gained: FloatArray) -> tuple[FloatArray, FloatArray, float]:
     """Return C_VV, C_TV and J given the precision gained (eq:generic_llse2)."""
     root = np.sqrt(gained)
-    factor = cho_factor(np.eye(root.size) + root[:, None] * information.k_vv * root, lower=True)
-    known = cho_solve(factor, root[:, None] * information.k_vv)
+    b = np.eye(root.size) + root[:, None] * information.k_vv * root
+    known = np.linalg.solve(b, root[:, None] * information.k_vv)
     c_vv = information.k_vv - (information.k_vv * root) @ known
     c_tv = information.k_tv - (information.k_tv * root) @ known
     return np.ascontiguousarray(c_vv), np.ascontiguousarray(c_tv), information.value(gained)
