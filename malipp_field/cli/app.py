@@ -7,7 +7,7 @@ sample came home. Ctrl-C is 130.
 
 from __future__ import annotations
 
-import asyncio
+import gc
 import logging
 import os
 import sys
@@ -15,16 +15,20 @@ from collections.abc import Callable
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from malipp_field import __version__
 from malipp_field.errors import InputError, MalippError, PlanError
-from malipp_field.mission import Mission, read_mission
-from malipp_field.plan import Plan, read_plan, write_plan
+
+if TYPE_CHECKING:
+    from malipp_field.mission import Mission
+    from malipp_field.plan import Plan
 
 INPUT_ERROR, INFEASIBLE, LIMIT_REACHED, INCOMPLETE, INTERRUPTED = 2, 3, 4, 5, 130
+_GARBAGE_AFTER = 50_000
+"""New objects before Python looks for garbage: importing makes many and leaves none."""
 
 app = typer.Typer(
     add_completion=False,
@@ -134,7 +138,9 @@ def plan(
 
     Exit status: 0 with a plan, 3 when there is provably none, 4 when the limit came first.
     """
-    mission = read_mission(mission_file)
+    from malipp_field.plan import write_plan
+
+    mission = _mission(mission_file)
     _writable(output, mission_file)
     options = {
         "method": None if method is None else method.value,
@@ -160,9 +166,10 @@ def verify(mission_file: MissionFile, plan_file: PlanFile) -> None:
 
     Exit status: 0 when every rule is kept, 2 when not, 3 or 4 for a plan file that says why there is no plan.
     """
+    from malipp_field.plan import read_plan
     from malipp_field.planner import verify as find_violations
 
-    mission, candidate = read_mission(mission_file), read_plan(plan_file)
+    mission, candidate = _mission(mission_file), read_plan(plan_file)
     violations = find_violations(mission, candidate)
     for violation in violations:
         typer.echo(f"{plan_file}: {violation}", err=True)
@@ -197,7 +204,9 @@ def sim(
     ] = 1.0,
 ) -> None:
     """Start the mission's rovers as simulated MAVLink vehicles on this machine, until interrupted."""
-    asyncio.run(_simulate(read_mission(mission_file), port, speed))
+    import asyncio
+
+    asyncio.run(_simulate(_mission(mission_file), port, speed))
 
 
 @app.command(short_help="Plan, export, fly a simulated team, and review.")
@@ -216,8 +225,9 @@ def run(
     limit came first.
     """
     from malipp_field.cli.whole_run import RESULTS, whole_run
+    from malipp_field.plan import write_plan
 
-    mission = read_mission(mission_file)
+    mission = _mission(mission_file)
     given = None if plan_file is None else _verified(mission_file, plan_file)[1]
     _folder(output)
     _folder(output / "export")
@@ -253,6 +263,12 @@ def review(
     typer.echo(f"review: {target}")
     if open_viewer:
         os.execv(sys.executable, [sys.executable, "-m", "rerun", str(target)])
+
+
+def _mission(path: Path) -> Mission:
+    from malipp_field.mission import read_mission
+
+    return read_mission(path)
 
 
 def _solve(mission: Mission, options: dict[str, Any]) -> Plan:
@@ -308,9 +324,10 @@ def _stop_without_routes(found: Plan) -> None:
 
 def _verified(mission_file: Path, plan_file: Path) -> tuple[Mission, Plan]:
     """Read a mission and a plan of it, and let no plan pass that breaks a rule."""
+    from malipp_field.plan import read_plan
     from malipp_field.planner import check
 
-    mission, found = read_mission(mission_file), read_plan(plan_file)
+    mission, found = _mission(mission_file), read_plan(plan_file)
     try:
         check(mission, found)
     except PlanError as fault:
@@ -359,6 +376,7 @@ async def _simulate(mission: Mission, port: int, speed: float) -> None:
 
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line and exit with its status."""
+    gc.set_threshold(_GARBAGE_AFTER)
     logging.basicConfig(level=logging.WARNING, format="%(levelname)s %(name)s: %(message)s")
     given = (sys.argv[1:] if arguments is None else arguments) or ["--help"]
     sys.exit(_status(lambda: app(given, prog_name="malipp", standalone_mode=False)))

@@ -6,6 +6,7 @@ import math
 import sys
 import time
 from types import TracebackType
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.live import Live
@@ -13,10 +14,12 @@ from rich.spinner import Spinner
 from rich.table import Table
 from rich.text import Text
 
-from malipp_field.control import Coordinator
 from malipp_field.mission import Mission
 from malipp_field.plan import Plan
-from malipp_field.planner import Progress
+
+if TYPE_CHECKING:  # what is shown, not what shows it: a plan needs no coordinator
+    from malipp_field.control import Coordinator
+    from malipp_field.planner import Progress
 
 _LINE_EVERY_S = 5.0
 

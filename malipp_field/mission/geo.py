@@ -1,8 +1,9 @@
-"""Degrees to local metres and back (WGS 84, east-north-up at the site's origin)."""
+"""Degrees to local metres and back (WGS 84, east-north-up at the site's origin).
+
+Most sites are in metres: pymap3d is imported at the first place in degrees.
+"""
 
 from __future__ import annotations
-
-import pymap3d
 
 from malipp_field.mission.schema import Origin, Place
 
@@ -13,6 +14,8 @@ ABSTRACT_ORIGIN = Origin(lat_deg=1.0, lon_deg=1.0, alt_m=0.0)
 
 def to_local(lat_deg: float, lon_deg: float, origin: Origin) -> tuple[float, float]:
     """Return (east, north) in metres of a place at the origin's altitude."""
+    import pymap3d
+
     x_m, y_m, _ = pymap3d.geodetic2enu(
         lat_deg, lon_deg, origin.alt_m, origin.lat_deg, origin.lon_deg, origin.alt_m
     )
@@ -21,6 +24,8 @@ def to_local(lat_deg: float, lon_deg: float, origin: Origin) -> tuple[float, flo
 
 def to_globe(x_m: float, y_m: float, origin: Origin) -> tuple[float, float]:
     """Return (latitude, longitude) in degrees of a place in the local horizontal plane."""
+    import pymap3d
+
     lat_deg, lon_deg, _ = pymap3d.enu2geodetic(x_m, y_m, 0.0, origin.lat_deg, origin.lon_deg, origin.alt_m)
     return float(lat_deg), float(lon_deg)
 

@@ -1,4 +1,7 @@
-"""From a mission to a verified plan, by any of the methods."""
+"""From a mission to a verified plan, by any of the methods.
+
+Each method is imported when it is asked for: cvxpy alone takes a second, numba half of one.
+"""
 
 from __future__ import annotations
 
@@ -10,14 +13,11 @@ from malipp_field.mission import Mission, TeamState
 from malipp_field.mission.schema import Method
 from malipp_field.plan import Plan
 from malipp_field.plan.schema import Status
-from malipp_field.planner.exact import solve_arcs, solve_exact
 from malipp_field.planner.extract import TeamPlan, Verdict, plan_file, routes_of, team_plan
 from malipp_field.planner.feasibility import obstacle
 from malipp_field.planner.linear import Effort
 from malipp_field.planner.problem import Problem, build_problem, in_units
 from malipp_field.planner.progress import Progress, Result, Search, relative_gap
-from malipp_field.planner.sequential import solve_sequential
-from malipp_field.planner.shortage import shortage
 from malipp_field.planner.verify import verify
 
 Engine = Callable[[Problem, Search, TeamPlan | None], Result]
@@ -145,8 +145,7 @@ def _sequential(request: Request, problem: Problem) -> Plan:
 
 def _relaxed(request: Request) -> float:
     """Return the bound of the cone relaxation: Seq-LIPP itself proves nothing."""
-    # cvxpy takes a second to import, which no other method should have to wait for
-    from malipp_field.planner.relaxation import relaxation_bound  # noqa: PLC0415
+    from malipp_field.planner.relaxation import relaxation_bound
 
     left_s = min(_RELAXATION_S, request.search.effort.left_s)
     return relaxation_bound(request.mission, request.state, left_s)
@@ -158,6 +157,8 @@ def _exact(request: Request, problem: Problem, start: TeamPlan | None) -> Plan:
         start = _one_by_one(problem, search.share(_SEQUENTIAL_SHARE))
     result = _run(_engine(request.method), problem, search, start)
     if result.infeasible:
+        from malipp_field.planner.shortage import shortage
+
         reason = shortage(
             request.mission, request.state, search, handoffs=request.handoffs, closed=request.closed
         )
@@ -171,6 +172,8 @@ def _exact(request: Request, problem: Problem, start: TeamPlan | None) -> Plan:
 
 
 def _one_by_one(problem: Problem, search: Search) -> TeamPlan | None:
+    from malipp_field.planner.sequential import solve_sequential
+
     def engine(problem: Problem, search: Search, _: TeamPlan | None) -> Result:
         return Result(solve_sequential(problem, search), 0.0, proven=False)
 
@@ -188,10 +191,11 @@ def _run(engine: Engine, problem: Problem, search: Search, start: TeamPlan | Non
 
 def _engine(method: Method) -> Engine:
     if method == "miqp":
-        # cvxpy takes a second to import, which no other method should have to wait for
-        from malipp_field.planner.literal import solve_literal  # noqa: PLC0415
+        from malipp_field.planner.literal import solve_literal
 
         return solve_literal
+    from malipp_field.planner.exact import solve_arcs, solve_exact
+
     return solve_arcs if method == "arcs" else solve_exact
 
 
