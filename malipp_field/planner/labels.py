@@ -12,7 +12,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+from malipp_field.planner.kernels import njit
 from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]

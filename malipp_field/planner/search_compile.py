@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TypeVar, cast
 
-from numba import njit
+from malipp_field.planner.kernels import njit
 
 _F = TypeVar("_F", bound=Callable[..., object])
 
