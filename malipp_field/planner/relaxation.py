@@ -5,8 +5,8 @@ The continuous relaxation of the paper's first stage in perspective form: over t
 
     min  sum_j W_jj [ k_jj - 2 k_j A_j + A_j' K_VV A_j + sum_v A_jv^2 / p_v ],
 
-a cone program (each A_jv^2 / p_v a rotated cone) given to Clarabel by cvxpy. What is returned does not rest
-on the solver's tolerance. J is convex, so J(p) >= J(q) + grad J(q).(p - q) for the solver's q, whatever q is;
+a cone program (each A_jv^2 / p_v a rotated cone) for Clarabel (`relaxation_cone`). What is returned does not
+rest on the solver's tolerance. J is convex, so J(p) >= J(q) + grad J(q).(p - q) for the solver's q, whatever q is;
 and the smallest value of the right side over the polytope is at least what weak duality gives with the
 solver's multipliers, whatever they are, because every variable lies in a finite box. Good solver output makes
 that bound tight; bad output could only make it weak.
@@ -15,17 +15,15 @@ that bound tight; bad output could only make it weak.
 from __future__ import annotations
 
 import time
-import warnings
 from dataclasses import dataclass, replace
 from typing import Any
 
-import cvxpy as cp
 import numpy as np
-from scipy.linalg import eigh
 
 from malipp_field.field import FloatArray
 from malipp_field.mission import Mission, TeamState, initial_state
 from malipp_field.planner.problem import Problem, build_problem
+from malipp_field.planner.relaxation_cone import solve_cone
 from malipp_field.planner.relaxation_rows import Polytope
 
 _BUDGET_SLACK = 3e-6
@@ -201,52 +199,16 @@ class _Answer:
 
 def _solve(polytope: Polytope, most: FloatArray, time_limit_s: float) -> _Answer | None:
     """Return the solver's answer, of whatever quality; None where it gave none."""
-    problem = polytope.problem
-    z = cp.Variable(len(polytope.lower))
-    gain, rows, ceiling = polytope.precision_map(), polytope.equal, polytope.at_most
-    constraints = [rows.matrix @ z == rows.right, ceiling.matrix @ z <= ceiling.right]
-    constraints += [z >= polytope.lower, z <= polytope.upper]
-    objective = cp.Minimize(_perspective(problem, most, problem.gained + gain @ z))
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # an inaccurate answer is no worse than the bound made of it
-            cp.Problem(objective, constraints).solve(solver=cp.CLARABEL, time_limit=max(time_limit_s, 0.1))
-    except cp.SolverError:
+    solution = solve_cone(polytope, most, max(time_limit_s, 0.1))
+    if solution is None:
         return None
-    if z.value is None or constraints[0].dual_value is None or constraints[1].dual_value is None:
-        return None
-    point = np.clip(z.value, polytope.lower, polytope.upper)
+    point = np.clip(solution.z, polytope.lower, polytope.upper)
     return _Answer(
         z=point,
-        precision=problem.gained + gain @ point,
-        equal=np.asarray(constraints[0].dual_value, dtype=np.float64),
-        at_most=np.maximum(np.asarray(constraints[1].dual_value, dtype=np.float64), 0.0),
+        precision=polytope.problem.gained + polytope.precision_map() @ point,
+        equal=solution.equal,
+        at_most=np.maximum(solution.at_most, 0.0),
     )
-
-
-def _perspective(problem: Problem, most: FloatArray, precision: cp.Expression) -> cp.Expression:
-    """Return J less a constant, as a convex expression in the estimator and the precision.
-
-    The weighted test points enter only by K_VT W K_TV = L L', so there are as many rows of A as that has
-    rank, not as many as test points.
-    """
-    model = problem.information
-    active = np.flatnonzero(most > 0)
-    K = model.k_vv[np.ix_(active, active)]
-    cross = model.k_tv[:, active]
-    L, F = _root((cross.T * model.weights) @ cross), _root(K)
-    A = cp.Variable((L.shape[1], len(active)))
-    noise = sum(
-        cp.quad_over_lin(A[:, i] / np.sqrt(most[v]), precision[v] / most[v]) for i, v in enumerate(active)
-    )
-    return cp.sum_squares(A @ F) - 2.0 * cp.sum(cp.multiply(L.T, A)) + noise
-
-
-def _root(matrix: FloatArray) -> FloatArray:
-    """Return B with B B' = matrix but for what is a billionth of its size."""
-    size, vectors = eigh(matrix)
-    kept = size > 1e-9 * size[-1]
-    return np.asarray(vectors[:, kept] * np.sqrt(size[kept]), dtype=np.float64)
 
 
 def _certified(polytope: Polytope, answer: _Answer) -> float:

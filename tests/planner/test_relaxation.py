@@ -13,13 +13,16 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from relaxation_reference import relaxed_optimum
 from verify_cases import FIELD, Routes, Scene, dead_drop, mid_route, one_way, plan_of, residual, robot, stop
 
 from malipp_field.field import candidate_ids, information_model
 from malipp_field.mission import Mission, TeamState, node_positions, parse_mission
 from malipp_field.plan import RobotPlan
 from malipp_field.planner import relaxation
+from malipp_field.planner.problem import build_problem
 from malipp_field.planner.relaxation import relaxation_bound
+from malipp_field.planner.relaxation_rows import Polytope
 from malipp_field.planner.verify import verify
 
 PLACES = {"a": (10.0, 4.0), "b": (18.0, -6.0), "c": (25.0, 3.0), "d": (4.0, -9.0)}
@@ -256,3 +259,20 @@ def test_the_bound_is_below_a_plan_with_handoffs_that_needs_all_there_is(relay: 
     assert verify(mission, plan, state) == []
     assert plan.objective is not None
     assert relaxation_bound(mission, state) <= plan.objective.information
+
+
+@pytest.mark.parametrize("budget_j", [30.0, 60.0, 90.0])
+def test_the_cone_program_is_that_of_cvxpy(budget_j: float) -> None:
+    two = mission_of(
+        robot("light", energy_budget_j=budget_j, noise_variance=0.4),
+        robot("heavy", energy_budget_j=1.5 * budget_j, payload_capacity=4),
+    )
+    problem = build_problem(two)
+    polytope, most = Polytope(problem), relaxation._most_precision(problem)
+    answer = relaxation._solve(polytope, most, 60.0)
+    assert answer is not None
+    optimum, precision = relaxed_optimum(polytope, most)
+    assert problem.information.value(answer.precision) == pytest.approx(optimum, rel=1e-5)
+    assert answer.precision == pytest.approx(precision, rel=1e-2, abs=1e-2)
+    # the multipliers prove what the point achieves
+    assert relaxation._certified(polytope, answer) == pytest.approx(optimum, rel=1e-5)
