@@ -18,8 +18,8 @@ help:  ## this list
 	@# Without --no-compile pip spends half of the time on byte code that is never run.
 	@$(BIN)/python -m pip install --no-compile --progress-bar off --disable-pip-version-check \
 		--constraint constraints.txt --editable '.[dev]' | sed -nE 's/^Collecting ([^ ]+).*/  \1/p'
-	@echo "Compiling the planner's inner loops (about a minute the first time) ..."
-	@$(BIN)/python -m malipp_field.planner.warm
+	@# This also stores the byte code of all that planning imports, wherever that has been switched off.
+	@PYTHONDONTWRITEBYTECODE= $(BIN)/python -m malipp_field.planner.warm
 	@touch $@
 
 setup: .venv/.ready  ## a .venv with pinned dependencies

@@ -83,7 +83,7 @@ def _cheapest_paths(energies: Ways, times: Ways, source: str) -> dict[str, Path]
         if (heads := energies.get(tail))
     }
     _, before = _dijkstra(tight, source)
-    paths = {source: (source,)}
+    paths: dict[str, Path] = {source: (source,)}
     for node, tail in before.items():  # in the order of arrival: a path's beginning is known before its end
         paths[node] = (*paths[tail], node)
     return paths

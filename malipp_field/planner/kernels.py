@@ -10,7 +10,7 @@ import numba
 from numba.core.caching import FunctionCache
 from numba.core.runtime import rtsys
 
-_NOTICE = "compiling the planner's inner loops once, about a minute (make setup does it beforehand) ..."
+_NOTICE = "compiling the planner's inner loops once, about a minute ..."
 
 _told = False
 

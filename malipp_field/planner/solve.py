@@ -34,6 +34,7 @@ class Request:
     mission: Mission
     state: TeamState | None
     method: Method
+    engine: Engine
     handoffs: bool
     search: Search
     version: int
@@ -91,8 +92,9 @@ def solve(
         When a plan of ours breaks a rule: an error of the planner, not of its user.
     """
     options = mission.planner
-    started = time.monotonic()
     chosen = method or options.method
+    engine = _engine(chosen)  # before the clock starts: importing it is not planning
+    started = time.monotonic()
     wanted = options.handoffs if handoffs is None else handoffs
     search = Search(
         effort=Effort(
@@ -110,6 +112,7 @@ def solve(
         mission=mission,
         state=state,
         method=chosen,
+        engine=engine,
         handoffs=wanted and chosen not in {"no-handoffs", "seq"},
         search=search,
         version=version,
@@ -155,7 +158,7 @@ def _exact(request: Request, problem: Problem, start: TeamPlan | None) -> Plan:
     search = request.search
     if start is None and request.method == "auto":
         start = _one_by_one(problem, search.share(_SEQUENTIAL_SHARE))
-    result = _run(_engine(request.method), problem, search, start)
+    result = _run(request.engine, problem, search, start)
     if result.infeasible:
         from malipp_field.planner.shortage import shortage
 
