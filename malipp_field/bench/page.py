@@ -24,12 +24,19 @@ def provenance(rows: Sequence[Row]) -> list[str]:
     dates = sorted({row.date for row in rows})
     codes = sorted({row.code for row in rows})
     present = "this" if codes == [planner_fingerprint()] else "not only this"
-    versions = ", ".join(f"{name} {_version(name)}" for name in _PACKAGES)
+    return [
+        *machine(_PACKAGES),
+        f"- runs: {len(rows)}, on {' to '.join(dict.fromkeys((dates[0], dates[-1]))) if dates else 'no day'}",
+        f"- fingerprint of the planner's code: {', '.join(codes)} ({present} tree's)",
+    ]
+
+
+def machine(packages: Iterable[str]) -> list[str]:
+    """Return the machine, and the versions of Python and these packages, as a Markdown list."""
+    versions = ", ".join(f"{name} {_version(name)}" for name in packages)
     return [
         f"- machine: {_processor()}, {os.cpu_count()} cores, {_memory_gib():.0f} GiB, {platform.system()}",
         f"- versions: Python {platform.python_version()}, {versions}",
-        f"- runs: {len(rows)}, on {' to '.join(dict.fromkeys((dates[0], dates[-1]))) if dates else 'no day'}",
-        f"- fingerprint of the planner's code: {', '.join(codes)} ({present} tree's)",
     ]
 
 
