@@ -122,10 +122,11 @@ def _page(trees: Sequence[Path], figures: Figures, rounds: int) -> list[str]:
     return [
         "# Starting, measured",
         "",
-        f"Made by `python benchmarks/startup.py {shlex.join(sys.argv[1:])}`.",
+        f"Made by `python benchmarks/startup.py --rounds {rounds}{' --other FOLDER' * (len(trees) > 1)} --write`.",
         "",
         *machine(("numba", "numpy", "highspy", "clarabel", "pydantic", "typer")),
         f"- date: {datetime.datetime.now(tz=datetime.UTC).date().isoformat()}; {rounds} rounds",
+        f"- load average during the last rounds, other work included: {os.getloadavg()[0]:.1f}",
         f"- byte code of numba: {'stored' if _has_byte_code('numba') else 'compiled anew by every process'}",
         "",
         *table(heads, lines),
