@@ -115,6 +115,7 @@ def _took(arguments: Sequence[str], tree: Path) -> Took:
 
 def _page(trees: Sequence[Path], figures: Figures, rounds: int) -> list[str]:
     heads = ("fresh process", *("this tree" if tree == TREE else "the other tree" for tree in trees))
+    other = " --other FOLDER" * (len(trees) > 1)
     lines = [
         (f"`{name}`", *(_cell(figures[name, tree]) for tree in trees))
         for name in dict.fromkeys(name for name, _ in figures)
@@ -122,7 +123,7 @@ def _page(trees: Sequence[Path], figures: Figures, rounds: int) -> list[str]:
     return [
         "# Starting, measured",
         "",
-        f"Made by `python benchmarks/startup.py --rounds {rounds}{' --other FOLDER' * (len(trees) > 1)} --write`.",
+        f"Made by `python benchmarks/startup.py --rounds {rounds}{other} --write`.",
         "",
         *machine(("numba", "numpy", "highspy", "clarabel", "pydantic", "typer")),
         f"- date: {datetime.datetime.now(tz=datetime.UTC).date().isoformat()}; {rounds} rounds",
