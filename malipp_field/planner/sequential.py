@@ -12,11 +12,14 @@ from dataclasses import replace
 
 import numpy as np
 
+from malipp_field.planner.alone import Options, options_of, plan_alone
 from malipp_field.planner.exact import solve_exact
 from malipp_field.planner.extract import Route, TeamPlan, read_routes, team_plan
 from malipp_field.planner.milp import TeamModel
 from malipp_field.planner.problem import Problem, prune
-from malipp_field.planner.progress import Result, Search
+from malipp_field.planner.progress import Search
+from malipp_field.planner.schedules import robots_of
+from malipp_field.planner.stages import least_makespan
 
 
 def solve_sequential(problem: Problem, search: Search) -> TeamPlan | None:
@@ -24,20 +27,22 @@ def solve_sequential(problem: Problem, search: Search) -> TeamPlan | None:
     shares = share_stock(problem, search)
     if shares is None:
         return None
+    options = _options(problem, shares)
     routes: dict[int, Route] = {}
     precision = problem.gained
     while len(routes) < len(problem.robots):
         free = [r for r in range(len(problem.robots)) if r not in routes]
-        plans = {}
+        plans: dict[int, TeamPlan] = {}
         for k, r in enumerate(free):
             steps_left = sum(range(1, len(free) + 1)) - k
             alone = _alone(problem, r, shares[r], precision)
-            plans[r] = _solve_alone(alone, search.share(1.0 / steps_left))
-            if plans[r] is None:
+            plan = _solve_alone(alone, options[r], search.share(1.0 / steps_left))
+            if plan is None or search.effort.over:
                 return None
-        best = min(free, key=lambda r: _rank(plans[r]))
-        chosen = plans[best]
-        assert chosen is not None
+            plans[r] = plan
+        best = min(free, key=lambda r: plans[r].rank)
+        alone = _alone(problem, best, shares[best], precision)
+        chosen, _ = least_makespan(alone, search, plans[best])
         routes[best], precision = chosen.routes[0], chosen.precision
         search.tell("sequential", chosen, None, len(routes))
     return team_plan(problem, tuple(routes[r] for r in range(len(problem.robots))))
@@ -78,12 +83,19 @@ def _alone(
     )
 
 
-def _solve_alone(problem: Problem, search: Search) -> TeamPlan | None:
+def _options(problem: Problem, shares: list[tuple[int, ...]]) -> list[Options | None]:
+    """List what each robot could do; those that could stand in for each other are listed once."""
+    robots = robots_of(replace(problem, handoffs=False))
+    found: list[Options | None] = []
+    for r, robot in enumerate(robots):
+        twin = next((o for o in robot.twins if o < r and shares[o] == shares[r]), None)
+        known = None if twin is None else found[twin]
+        found.append(known or options_of(_alone(problem, r, shares[r], problem.gained)))
+    return found
+
+
+def _solve_alone(problem: Problem, options: Options | None, search: Search) -> TeamPlan | None:
+    if options is not None:
+        return plan_alone(problem, options)
     quiet = replace(search, on_progress=lambda _: None)
-    result: Result = solve_exact(problem, quiet)
-    return result.team
-
-
-def _rank(plan: TeamPlan | None) -> tuple[float, float, float]:
-    assert plan is not None
-    return plan.rank
+    return solve_exact(problem, quiet).team
