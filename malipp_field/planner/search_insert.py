@@ -21,12 +21,17 @@ before which stop; who fetches it, before which stop; the second drop, who fetch
 
 @compiled
 def find_costs(case: Case, state: State, scratch: Scratch) -> None:
-    """Fill the tables of what fetching costs at least, whatever the order of stops."""
+    """Fill the tables of what fetching costs at least, whatever the order of stops.
+
+    Only robots marked as changed are looked at: what fetching costs one hangs on its own route alone.
+    """
     robots, n = case.place.shape
     for o in range(robots):
         for w in range(n):
-            scratch.fetch[o, w] = _cheapest_fetch(case, state, scratch, o, w)
+            if scratch.changed[o]:
+                scratch.fetch[o, w] = _cheapest_fetch(case, state, scratch, o, w)
             scratch.onward[o, w] = scratch.fetch[o, w]
+        scratch.changed[o] = False
     _find_least(case, scratch)
     if scratch.relays[0]:
         for o in range(robots):
@@ -40,12 +45,14 @@ def find_costs(case: Case, state: State, scratch: Scratch) -> None:
 def _find_least(case: Case, scratch: Scratch) -> None:
     robots, n = case.place.shape
     for r in range(robots):
+        scratch.lowest[r] = np.inf
         for w in range(n):
             least = np.inf
             for o in range(robots):
                 if case.handoff[r, o, w]:
                     least = min(least, scratch.onward[o, w])
             scratch.least[r, w] = least
+            scratch.lowest[r] = min(scratch.lowest[r], least)
 
 
 @compiled
@@ -247,7 +254,7 @@ def _ways_from(
         limit = home
         _note(scratch, r, v, i, 0, 0)
         scratch.way[W_DROPS] = 0
-    if case.depot[r, v] and kind != STOCK:
+    if (case.depot[r, v] and kind != STOCK) or detour_j * scratch.weight[r] + scratch.lowest[r] >= limit:
         return limit
     if kind != STOCK:
         limit = _with_drop(case, state, scratch, r, v, i, v, i, before, detour_j, limit)
@@ -366,6 +373,9 @@ def insert(case: Case, state: State, scratch: Scratch) -> bool:
         if state.pos[way[W_LAST], way[W_NEXT]] < 0:
             insert_stop(case, state, way[W_LAST], way[W_LAST_AT], way[W_NEXT])
     count(state, row, 1)
+    scratch.changed[r] = True
+    for h in range(drops):
+        scratch.changed[row[FIRST_HOP + 2 * h + 1]] = True
     if kind == COLLECTED:
         learn(case, state, case.candidate[v], case.precision[r])
     good = derive(case, state, r)

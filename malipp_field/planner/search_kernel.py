@@ -37,6 +37,7 @@ from malipp_field.planner.search_routes import (
     cut_at_depots,
     derive_team,
     find_falls,
+    learn_all,
     tidy,
     uniform,
 )
@@ -61,6 +62,8 @@ _LEAST_GAIN = 1e-10
 """A sample that lowers J by less than this share of the prior's is not worth its weight."""
 _SMALL_COST = 0.02
 """Added to the share of a budget that a sample costs, so that what is free does not win by itself."""
+_AFRESH = 50
+"""Plans accepted before the posterior is worked out from the prior again, against the drift of updates."""
 _LEAST_POWER, _MOST_POWER = 0.1, 1.3
 _SHY, _SHY_ROBOTS = 0.3, 0.08
 """Share of a budget that counts against a way without a drop, and the chance that it does for a robot."""
@@ -72,6 +75,7 @@ def _draw(case: Case, scratch: Scratch) -> None:
     """Draw what an iteration looks at."""
     for r in range(len(scratch.weight)):
         scratch.weight[r] = (0.4 + 1.2 * uniform(scratch)) / max(case.budget_j[r], 1e-9)
+        scratch.changed[r] = True
     for r in range(len(scratch.shy)):
         scratch.shy[r] = _SHY if uniform(scratch) < _SHY_ROBOTS else 0.0
     chance = uniform(scratch) * _MOST_HUBS
@@ -98,9 +102,36 @@ def _recreate(case: Case, state: State, scratch: Scratch) -> bool:
 @compiled
 def _find_next(case: Case, state: State, scratch: Scratch, power: float) -> bool:
     """Find the sample with the best score and its way; return whether there is one."""
-    best = 0.0
+    first = _find_promising(case, state, scratch, power)
+    best, n = 0.0, len(case.candidate)
+    for k in range(-1, len(state.length) * n):
+        p = first if k < 0 else k
+        if p < 0 or k == first:
+            continue
+        r, v = p // n, p % n
+        gain = scratch.gain[r, v]
+        if gain <= 0.0:
+            continue
+        limit = np.inf if best == 0.0 else (gain / best) ** (1.0 / power) - _SMALL_COST
+        if limit <= 0.0:
+            continue
+        cost = find_way(case, state, scratch, r, v, limit)
+        if cost < limit:
+            best = gain / (_SMALL_COST + max(cost, 0.0)) ** power
+            copy_of(scratch.best, scratch.way)
+    return best > 0.0
+
+
+@compiled
+def _find_promising(case: Case, state: State, scratch: Scratch, power: float) -> int:
+    """Draw what every sample is taken to gain; return which seems best, brought home by its own robot, or -1.
+
+    Looked at first, it sets a limit that spares most of the others a closer look.
+    """
+    best, first, n = 0.0, -1, len(case.candidate)
     for r in range(len(state.length)):
-        for v in range(len(case.candidate)):
+        for v in range(n):
+            scratch.gain[r, v] = 0.0
             if state.collect[r, v] >= case.limits[r, v]:
                 continue
             u = case.candidate[v]
@@ -108,15 +139,11 @@ def _find_next(case: Case, state: State, scratch: Scratch, power: float) -> bool
             gain /= 1.0 + case.precision[r] * max(state.c_vv[u, u], 0.0)
             if gain <= _LEAST_GAIN * case.prior:
                 continue
-            gain *= 1.0 - _NOISE * uniform(scratch)
-            limit = np.inf if best == 0.0 else (gain / best) ** (1.0 / power) - _SMALL_COST
-            if limit <= 0.0:
-                continue
-            cost = find_way(case, state, scratch, r, v, limit)
-            if cost < limit:
-                best = gain / (_SMALL_COST + max(cost, 0.0)) ** power
-                copy_of(scratch.best, scratch.way)
-    return best > 0.0
+            scratch.gain[r, v] = gain * (1.0 - _NOISE * uniform(scratch))
+            score = scratch.gain[r, v] / (_SMALL_COST + max(scratch.fetch[r, v], 0.0)) ** power
+            if score > best:
+                best, first = score, r * n + v
+    return first
 
 
 @compiled
@@ -236,9 +263,11 @@ def _search(
         if worse < 0.0 or uniform(scratch) < np.exp(-worse / figures[HEAT]):
             copy(now, trial)
             counters[ACCEPTED] += 1
-            if _better(case, now, best):
-                copy(best, now)
-                counters[IMPROVED] += 1
+            if counters[ACCEPTED] % _AFRESH == 0 or _better(case, now, best):
+                learn_all(case, now)
+                if _better(case, now, best):
+                    copy(best, now)
+                    counters[IMPROVED] += 1
 
 
 @spliced

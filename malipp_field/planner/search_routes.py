@@ -47,7 +47,7 @@ def copy_rows(to: np.ndarray, source: np.ndarray, rows: int) -> None:
 
 @compiled
 def copy(to: State, source: State) -> None:
-    """Copy all that `derive` and `order` do not find again."""
+    """Copy all that `derive`, `order` and `find_falls` do not find again."""
     robots = len(source.length)
     copy_rows(to.route, source.route, robots)
     copy_rows(to.pos, source.pos, robots)
@@ -62,6 +62,8 @@ def copy(to: State, source: State) -> None:
     copy_of(to.board, source.board)
     copy_of(to.energy_j, source.energy_j)
     copy_of(to.value, source.value)
+    copy_rows(to.c_vv, source.c_vv, len(source.c_vv))
+    copy_rows(to.c_vt, source.c_vt, len(source.c_vt))
 
 
 @compiled
@@ -292,7 +294,7 @@ def tidy(case: Case, state: State, r: int) -> None:
 
 @compiled
 def learn(case: Case, state: State, v: int, precision: float) -> None:
-    """Change J and the covariances by more precision at candidate v: an update of rank one."""
+    """Change J and the covariances by more precision at candidate v, or less: an update of rank one."""
     fall = 0.0
     for t in range(len(case.weights)):
         fall += case.weights[t] * state.c_vt[v, t] ** 2
@@ -311,7 +313,7 @@ def learn(case: Case, state: State, v: int, precision: float) -> None:
 
 @compiled
 def learn_all(case: Case, state: State) -> None:
-    """Find J and the covariances from the prior: only additions, so that no error builds up."""
+    """Find J and the covariances from the prior: only additions, free of the errors that build up."""
     copy_rows(state.c_vv, case.k_vv, len(case.k_vv))
     copy_rows(state.c_vt, case.k_vt, len(case.k_vt))
     state.value[0] = case.prior

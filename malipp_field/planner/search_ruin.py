@@ -6,7 +6,7 @@ import numpy as np
 
 from malipp_field.planner.draft import COLLECTED
 from malipp_field.planner.search_compile import compiled
-from malipp_field.planner.search_routes import below, learn_all, remove, tidy, uniform
+from malipp_field.planner.search_routes import below, learn, learn_all, remove, tidy, uniform
 from malipp_field.planner.search_state import FIRST_HOP, HOPS, KIND, NODE, PILE, ROBOT, Case, Scratch, State
 
 _MOST_TAKEN_OUT = 10
@@ -19,18 +19,24 @@ def ruin(case: Case, state: State, scratch: Scratch) -> int:
     """Take samples out; return how many of them have to be put in again (``scratch.homeless``)."""
     homeless = 0
     if state.size[0] > 0:
-        taken = _choose(case, state, scratch)
+        taken, going = _choose(case, state, scratch), 0
+        for s in range(state.size[0]):
+            going += scratch.key[s] < taken
+        anew = 2 * going > state.size[0]
         for s in range(state.size[0] - 1, -1, -1):
             if scratch.key[s] < taken:
                 row = state.samples[s]
+                if row[KIND] == COLLECTED and not anew:
+                    learn(case, state, case.candidate[row[NODE]], -case.precision[row[ROBOT]])
                 if row[KIND] != COLLECTED:
                     scratch.homeless[homeless, 0], scratch.homeless[homeless, 1] = row[KIND], row[NODE]
                     scratch.homeless[homeless, 2], scratch.homeless[homeless, 3] = row[ROBOT], row[PILE]
                     homeless += 1
                 remove(state, s)
+        if anew:
+            learn_all(case, state)
     for r in range(len(state.length)):
         tidy(case, state, r)
-    learn_all(case, state)
     return homeless
 
 

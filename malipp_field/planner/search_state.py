@@ -146,8 +146,12 @@ class Scratch(NamedTuple):
         Least cost for a robot to fetch one sample at a node and bring it to its next unloading stop.
     onward : array, shape (R, N)
         The same with one more drop on the way allowed.
-    least : array, shape (R, N)
-        Least ``onward`` cost of a partner for what a robot leaves at a node: a bound that prunes.
+    least : array, shape (R, N); lowest : array, shape (R,)
+        Least ``onward`` cost of a partner for what a robot leaves at a node, and anywhere: bounds that prune.
+    changed : array, shape (R,)
+        Robots whose ``fetch`` costs are to be found anew.
+    gain : array, shape (R, N)
+        What one more sample of a robot at a node is taken to gain in this step, noise included.
     hub : array, shape (N,)
         Nodes at which new stops for a drop are tried in this iteration.
     way, best : array, shape (11,)
@@ -171,6 +175,9 @@ class Scratch(NamedTuple):
     fetch: FloatArray
     onward: FloatArray
     least: FloatArray
+    lowest: FloatArray
+    changed: BoolArray
+    gain: FloatArray
     hub: BoolArray
     way: IntArray
     best: IntArray
@@ -245,7 +252,8 @@ def scratch_for(case: Case, samples: int, seed: int) -> Scratch:
     robots, n = case.place.shape
     return Scratch(
         weight=np.ones(robots), shy=np.zeros(robots), fetch=np.zeros((robots, n)),
-        onward=np.zeros((robots, n)), least=np.zeros((robots, n)), hub=np.ones(n, dtype=np.bool_),
+        onward=np.zeros((robots, n)), least=np.zeros((robots, n)), lowest=np.zeros(robots),
+        changed=np.ones(robots, dtype=np.bool_), gain=np.zeros((robots, n)), hub=np.ones(n, dtype=np.bool_),
         way=np.zeros(11, dtype=np.int64), best=np.zeros(11, dtype=np.int64),
         sample=np.zeros(4, dtype=np.int64),
         relays=np.zeros(1, dtype=np.bool_), blink=np.zeros(1),
