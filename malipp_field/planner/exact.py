@@ -10,7 +10,8 @@ from malipp_field.planner.extract import TeamPlan
 from malipp_field.planner.problem import Problem
 from malipp_field.planner.progress import Result, Search
 from malipp_field.planner.schedules import MOST_PLACES
-from malipp_field.planner.stages import least_energy, least_makespan
+from malipp_field.planner.stages import arc_stages
+from malipp_field.planner.thrift import last_stages
 from malipp_field.planner.tree import ColumnStage
 
 _LAST_STAGES = 0.15
@@ -31,7 +32,7 @@ def solve_exact(
     start
         A plan to begin with; the result is never worse.
     over
-        What the first stage is searched over: whole schedules (`tree`) or single arcs (`arcs`; always where a
+        What is searched over: whole schedules (`tree`) or single arcs (`arcs`; always where a
         robot has more than `MOST_PLACES`).
     """
     whole = over == "schedules" and all(len(robot.places) <= MOST_PLACES for robot in problem.robots)
@@ -39,10 +40,10 @@ def solve_exact(
     result = stage(problem, search.share(1.0 - _LAST_STAGES), start).run()
     if result.team is None:
         return result
-    energy, energy_proven = least_energy(problem, search.share(0.7), result.team)
-    soonest, time_proven = least_makespan(problem, search, energy)
+    finish = last_stages if whole else arc_stages
+    soonest, proven = finish(problem, search, result.team)
     search.tell("makespan", soonest, result.bound, 0)
-    return replace(result, team=soonest, proven=result.proven and energy_proven and time_proven)
+    return replace(result, team=soonest, proven=result.proven and proven)
 
 
 def solve_arcs(problem: Problem, search: Search, start: TeamPlan | None = None) -> Result:

@@ -1,7 +1,8 @@
 """Compiled labelling over one robot's schedules: the pricing and the enumeration of `schedules`.
 
 A label is a partial schedule: where the robot is, its load, the energy spent, the value gathered and the
-places visited. Operations at a place are coded ``a * (2 K + 1) + h + K``: a samples taken, h the net exchange
+places visited. What is spent may count against the value: an actor has a toll, zero for J, where energy only
+has to suffice. Operations at a place are coded ``a * (2 K + 1) + h + K``: a samples taken, h the net exchange
 (picked less dropped) with K the capacity; the code K is idleness. Place 0 is the start.
 
 All of it stands in one file because numba looks only at the file of a stored function to see whether it is stale.
@@ -36,6 +37,8 @@ class Actor(NamedTuple):
         Bounds on a and on the exchange at each place.
     depot : array, shape (P,)
         Whether it unloads there.
+    toll
+        Value lost for each joule spent.
     """
 
     cost: FloatArray
@@ -49,6 +52,7 @@ class Actor(NamedTuple):
     most_drop: NDArray[np.int64]
     most_pick: NDArray[np.int64]
     depot: NDArray[np.bool_]
+    toll: float = 0.0
 
 
 @njit(cache=True)
@@ -101,17 +105,18 @@ def completion(actor, gain):  # type: ignore[no-untyped-def]
             for q in range(K + 1):
                 mass = actor.empty_mass + actor.sample_mass * q
                 best = -np.inf
-                if way_home(actor, u, ZERO) * mass <= (e + 1) * step:
-                    best = 0.0
+                home = way_home(actor, u, ZERO) * mass
+                if home <= (e + 1) * step:
+                    best = -actor.toll * home
                 for v in range(1, P):
                     if v == u:
                         continue
-                    leg = actor.cost[u, v] * mass / step
-                    if not leg < e + 1:
+                    leg = actor.cost[u, v] * mass
+                    if not leg / step < e + 1:
                         continue
-                    left = e - max(1, int(leg))
-                    if left >= 0 and arrive[v, q, left] > best:
-                        best = arrive[v, q, left]
+                    left = e - max(1, int(leg / step))
+                    if left >= 0:
+                        best = max(best, arrive[v, q, left] - actor.toll * leg)
                 bound[u, q, e] = best
         for v in range(1, P):
             for q in range(K + 1):
@@ -193,8 +198,9 @@ def enumerate_labels(actor, gain, least, room):  # type: ignore[no-untyped-def]
                     if (mask[i] >> np.uint64(v)) & ONE:
                         continue
                     mass = actor.empty_mass + actor.sample_mass * load[i]
-                    spent = energy[i] + actor.cost[place[i], v] * mass
-                    q, seen, worth = load[i], mask[i], value[i]
+                    leg = actor.cost[place[i], v] * mass
+                    spent = energy[i] + leg
+                    q, seen, worth = load[i], mask[i], value[i] - actor.toll * leg
                 if not spent <= limit:
                     continue
                 for a in range(actor.limits[v] + 1):
@@ -242,7 +248,7 @@ def enumerate_labels(actor, gain, least, room):  # type: ignore[no-untyped-def]
                             energy[k], value[k], parent[k] = spent, new, i
                             count += 1
                         elif spent < energy[found]:
-                            energy[found], parent[found] = spent, i
+                            energy[found], value[found], parent[found] = spent, new, i
         begin, end = fresh, count
     return count, codes, mask, place, load, energy, parent
 
@@ -432,8 +438,9 @@ def price_labels(actor, gain, must, exact_load, least, room, enough):  # type: i
                 if (mask[i] >> np.uint64(v)) & ONE:
                     continue
                 mass = actor.empty_mass + actor.sample_mass * load[i]
-                spent = energy[i] + actor.cost[place[i], v] * mass
-                q, seen, worth = load[i], mask[i], value[i]
+                leg = actor.cost[place[i], v] * mass
+                spent = energy[i] + leg
+                q, seen, worth = load[i], mask[i], value[i] - actor.toll * leg
             if not spent <= limit:
                 continue
             for a in range(actor.limits[v] + 1):
@@ -519,8 +526,9 @@ def price_labels(actor, gain, must, exact_load, least, room, enough):  # type: i
                     total = spent + way_home(actor, v, seen_now) * (
                         actor.empty_mass + actor.sample_mass * after
                     )
-                    if new > least and total <= limit and (seen_now & must) == must:
-                        found[n_found], worths[n_found] = k, new
+                    in_all = new - actor.toll * (total - spent)
+                    if in_all > least and total <= limit and (seen_now & must) == must:
+                        found[n_found], worths[n_found] = k, in_all
                         n_found += 1
                     _push(keys, heap, waiting, min(new + rest, new + open_gain), k)
                     waiting += 1

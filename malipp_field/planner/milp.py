@@ -214,7 +214,7 @@ class TeamModel:
                 brought.append((a[v], 1.0))
             unloaded: Terms = [(g[v], 1.0)] if v in g else []
             carried: Terms = [(load[arc], 1.0) for arc in self._outflow[r][v]] if v < n else []
-            picked, dropped = self._transfers(r, v)
+            picked, dropped = self.transfers(r, v)
             row(
                 [*brought, *picked, *_minus(carried), *_minus(dropped), *_minus(unloaded)],
                 -on_board, -on_board,
@@ -226,7 +226,7 @@ class TeamModel:
             if dropped:
                 row(dropped, upper=robot.capacity)  # eq:handoff_capacity
 
-    def _transfers(self, r: int, v: int) -> tuple[Terms, Terms]:
+    def transfers(self, r: int, v: int) -> tuple[Terms, Terms]:
         """Return H_in (drops made for it and stock fetched) and H_out of a visit."""
         columns, team = self.columns, range(len(self.problem.robots))
         picked = [(columns.h[o, r, v], 1.0) for o in team if (o, r, v) in columns.h]

@@ -100,16 +100,26 @@ class Robot:
 
         Raises nothing: False says that more than ``room`` labels would be needed.
         """
-        count, codes, mask, place, load, energy, _ = enumerate_labels(self.actor, gain, least, room)
-        if count < 0:
+        listed = self.listed(gain, least, room)
+        if listed is None:
             return False
-        label, _ = complete_schedules(self.actor, count, codes, mask, place, load, energy)
-        found = codes[label]
+        found = listed[0]
         if not dominated:
             actor = self.actor
             found = found[without_dominated(found, self.capacity, actor.limits, actor.most_pick)]
         self.pool = self._pool(np.ascontiguousarray(found))
         return True
+
+    def listed(self, gain: FloatArray, least: float, room: int) -> tuple[Codes, FloatArray] | None:
+        """Return codes, shape (M, P), and least energies of schedules, or None with more than ``room`` labels.
+
+        All schedules of value ``least`` or more are among them; others may be.
+        """
+        count, codes, mask, place, load, energy, _ = enumerate_labels(self.actor, gain, least, room)
+        if count < 0:
+            return None
+        label, spent = complete_schedules(self.actor, count, codes, mask, place, load, energy)
+        return codes[label], spent
 
     def keep(self, least: float) -> None:
         """Forget schedules whose value at the last `price` was below ``least``."""
@@ -137,12 +147,22 @@ class Robot:
         """
         if self.pool is not None:
             return self._scan(gain, pairs, least)
+        most, found = self.price_anew(gain, least, exact_load=exact_load)
+        return most, [codes for codes, _ in found]
+
+    def price_anew(
+        self, gain: FloatArray, least: float, *, exact_load: bool = False
+    ) -> tuple[float, list[tuple[Codes, float]]]:
+        """Return the same by labelling, whether schedules are listed or not, and the value of each found.
+
+        Where there is a toll, the value is that of the order found, which need not be the cheapest.
+        """
         must = sum(1 << w for w in range(len(self.places)) if gain[w, self.capacity] == -np.inf)
         rest, found, worths, code_of, place, parent = price_labels(
             self.actor, gain, np.uint64(must), exact_load, least, _PRICING_ROOM, 2 * _AT_ONCE
         )
         order = np.argsort(-worths, kind="stable")[:_AT_ONCE]
-        chosen = [self._codes(int(found[k]), code_of, place, parent) for k in order]
+        chosen = [(self._codes(int(found[k]), code_of, place, parent), float(worths[k])) for k in order]
         return max(rest, float(worths.max(initial=least))), chosen
 
     def _scan(self, gain: FloatArray, pairs: Pairs, least: float) -> tuple[float, list[Codes]]:
@@ -171,7 +191,7 @@ class Robot:
         room = 20_000
         while True:
             count, listed, mask, place, load, energy, parent = enumerate_labels(
-                self.actor, gain, float(np.count_nonzero(codes)), room
+                self.actor._replace(toll=0.0), gain, float(np.count_nonzero(codes)), room
             )
             if count >= 0:
                 break

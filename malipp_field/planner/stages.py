@@ -1,6 +1,7 @@
 """The stages after the first: with the precision found, least energy, then least makespan (eq:lex_objective).
 
-Both run the arc model (`malipp_field.planner.milp`) with the precision of every candidate fixed.
+Both run the arc model (`malipp_field.planner.milp`) with the precision of every candidate fixed. `thrift` does
+the same over whole schedules, and comes back to this where there are too many.
 """
 
 from __future__ import annotations
@@ -16,6 +17,17 @@ from malipp_field.planner.progress import Search
 from malipp_field.planner.timing import add_timing, horizon_s
 
 _ENERGY_SLACK = 1e-7
+
+
+_ENERGY_SHARE = 0.7
+"""Part of the time that the energy stage may take."""
+
+
+def arc_stages(problem: Problem, search: Search, best: TeamPlan) -> tuple[TeamPlan, bool]:
+    """Return the soonest plan of least energy with the same precision, and whether it is proven to be."""
+    energy, energy_proven = least_energy(problem, search.share(_ENERGY_SHARE), best)
+    soonest, time_proven = least_makespan(problem, search, energy)
+    return soonest, energy_proven and time_proven
 
 
 def least_energy(problem: Problem, search: Search, best: TeamPlan) -> tuple[TeamPlan, bool]:
@@ -35,16 +47,29 @@ def least_makespan(problem: Problem, search: Search, best: TeamPlan) -> tuple[Te
     """Return the soonest plan with the same precision and no more energy, and whether that is proven."""
     model = _fixed_model(problem, search, best.precision)
     add_timing(model, best.makespan_s + problem.service_time_s)
-    slack = _ENERGY_SLACK * max(1.0, best.energy_j)
+    limit_energy(model, best)
+    model.linear.objective([(model.columns.end, 1.0)])
+    found, outcome = _run_stage(model, search, best)
+    return (found if sooner(found, best) else best), outcome.status == "optimal"
+
+
+def energy_slack_j(best: TeamPlan) -> float:
+    """Return by how much more energy than the best plan's is no more."""
+    return _ENERGY_SLACK * max(1.0, best.energy_j)
+
+
+def limit_energy(model: TeamModel, best: TeamPlan) -> None:
+    """Allow no more energy than a plan has."""
     scale = max(1.0, best.energy_j)
     model.linear.row(
         [(column, value / scale) for column, value in model.energy_terms()],
-        upper=(best.energy_j + slack) / scale,
+        upper=(best.energy_j + energy_slack_j(best)) / scale,
     )
-    model.linear.objective([(model.columns.end, 1.0)])
-    found, outcome = _run_stage(model, search, best)
-    better = found.makespan_s < best.makespan_s and found.energy_j <= best.energy_j + 2 * slack
-    return (found if better else best), outcome.status == "optimal"
+
+
+def sooner(found: TeamPlan, best: TeamPlan) -> bool:
+    """Tell whether a plan is sooner over without more energy."""
+    return found.makespan_s < best.makespan_s and found.energy_j <= best.energy_j + 2 * energy_slack_j(best)
 
 
 def plan_of_precision(

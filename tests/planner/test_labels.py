@@ -66,9 +66,10 @@ def priced(
     rest, found, worths, code_of, place, parent = price_labels(
         actor, gain, np.uint64(must), exact_load, least, room, room
     )
-    values = {
-        _vector(actor, int(k), code_of, place, parent): float(w) for k, w in zip(found, worths, strict=True)
-    }
+    values: dict[Vector, float] = {}
+    for k, worth in zip(found, worths, strict=True):
+        vector = _vector(actor, int(k), code_of, place, parent)
+        values[vector] = max(float(worth), values.get(vector, -np.inf))  # with a toll the order counts
     return float(rest), values
 
 
