@@ -85,7 +85,7 @@ def test_completion_counts_the_toll_and_stays_above_the_truth(seed: int) -> None
 def some_plans(mission: Mission, state: TeamState | None, many: int) -> tuple[Problem, list[TeamPlan]]:
     """Return plans whose samples are anybody's, made without thought of energy."""
     problem, _ = scaled(mission, state)
-    teams = some_teams(problem, listed(problem), 200, seed=7)
+    teams = some_teams(problem, listed(problem), 60, seed=7)
     plans = [team for _, team in teams if team is not None]
     wanted = sorted(plans, key=lambda plan: -len({v.node for route in plan.routes for v in route if v.drop}))
     return problem, wanted[:many]
@@ -144,7 +144,7 @@ def test_choices_that_wait_in_a_circle_are_refused(monkeypatch: pytest.MonkeyPat
 
     monkeypatch.setattr(thrift, "cheapest_order", asked)
     mission = circle(budget_j=30.0)  # the cheapest schedules with both samples hand over in a circle
-    problem, plans = some_plans(mission, None, 200)
+    problem, plans = some_plans(mission, None, 60)
     both = [plan for plan in plans if (plan.precision > 0.0).sum() == 2]
     check(mission, None, problem, max(both, key=lambda plan: plan.energy_j))
     assert refused
