@@ -48,6 +48,7 @@ class Method(StrEnum):
     SEQ = "seq"
     MIQP = "miqp"
     ARCS = "arcs"
+    LNS = "lns"
 
 
 class Format(StrEnum):
@@ -93,8 +94,9 @@ def plan(
         Method | None,
         typer.Option(
             help="How to plan; the mission file's where not given. exact proves its plan, no-handoffs the "
-            "same without drops, seq plans robot by robot and proves nothing, miqp solves the paper's model "
-            "to the letter, arcs an arc model by outer approximation; auto chooses."
+            "same without drops, seq plans robot by robot and lns is the paper's search over pairs of robots "
+            "(both prove nothing), miqp solves the paper's model to the letter, arcs an arc model by outer "
+            "approximation; auto chooses."
         ),
     ] = None,
     handoffs: Annotated[
@@ -117,8 +119,8 @@ def plan(
         typer.Option(
             min=1,
             metavar="N",
-            help="Stop after so many rounds of the exact engine: unlike a time limit, the same plan on every "
-            "machine (miqp knows no rounds and passes over it).",
+            help="Stop after so many rounds of the exact engine (pairs of lns): unlike a time limit, the "
+            "same plan on every machine (miqp knows no rounds and passes over it).",
         ),
     ] = None,
     explain: Annotated[

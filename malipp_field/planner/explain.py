@@ -90,6 +90,7 @@ def settings(plan: Plan) -> dict[str, Any]:
         "no-handoffs": {"method": "exact", "handoffs": False},
         "seq": {"method": "seq"},
         "arcs": {"method": "arcs"},
+        "lns": {"method": "lns"},
     }
     return methods.get(plan.method, {"method": "exact"})
 

@@ -67,10 +67,11 @@ def solve(
         Where the team stands; the beginning of the mission where it is None.
     method
         "exact" proves its plan; "no-handoffs" is the same without drops; "seq" is Seq-LIPP; "auto" is "exact"
-        begun with Seq-LIPP. "miqp" is the paper's model to the letter, "arcs" the outer approximation over
-        the arc model: slower proofs of the same optimum.
+        begun with Seq-LIPP; "lns" is the paper's search over pairs of robots. "miqp" is the paper's model to
+        the letter, "arcs" the outer approximation over the arc model: slower proofs of the same optimum.
     work_limit
-        Most rounds of the exact engine; a search that ends by it gives the same plan on every machine.
+        Most rounds of the exact engine, or pairs of "lns"; a search that ends by it gives the same plan on
+        every machine.
     closed
         Ids of nodes at which nobody may hand over.
     warm_start
@@ -147,7 +148,7 @@ def _sequential(request: Request, problem: Problem) -> Plan:
 
 
 def _relaxed(request: Request) -> float:
-    """Return the bound of the cone relaxation: Seq-LIPP itself proves nothing."""
+    """Return the bound of the cone relaxation: Seq-LIPP and the LNS themselves prove nothing."""
     from malipp_field.planner.relaxation import relaxation_bound
 
     left_s = min(_RELAXATION_S, request.search.effort.left_s)
@@ -168,9 +169,10 @@ def _exact(request: Request, problem: Problem, start: TeamPlan | None) -> Plan:
         return _no_routes(request, "infeasible", reason)
     if result.team is None:
         return _no_routes(request, "no_plan", "the limit came before a first plan")
-    gap = relative_gap(result.team.information, result.bound)
+    bound = _relaxed(request) if request.method == "lns" else result.bound
+    gap = relative_gap(result.team.information, bound)
     status: Status = "optimal" if result.proven else "feasible"
-    bound = min(result.bound, result.team.information)
+    bound = min(bound, result.team.information)
     return plan_file(request.mission.name, problem, result.team, _verdict(request, status, bound, gap))
 
 
@@ -198,8 +200,10 @@ def _engine(method: Method) -> Engine:
 
         return solve_literal
     from malipp_field.planner.exact import solve_arcs, solve_exact
+    from malipp_field.planner.lns import solve_lns
 
-    return solve_arcs if method == "arcs" else solve_exact
+    engines: dict[str, Engine] = {"arcs": solve_arcs, "lns": solve_lns}
+    return engines.get(method, solve_exact)
 
 
 def _warm(request: Request, problem: Problem) -> TeamPlan | None:
@@ -230,7 +234,7 @@ def _verdict(request: Request, status: Status, bound: float | None, gap: float |
 
 
 def _method_used(request: Request) -> str:
-    if request.method in {"seq", "miqp", "arcs"}:
+    if request.method in {"seq", "miqp", "arcs", "lns"}:
         return request.method
     return "exact" if request.handoffs else "no-handoffs"
 

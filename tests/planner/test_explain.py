@@ -228,6 +228,7 @@ def test_a_plan_without_routes_is_refused() -> None:
         ("no-handoffs", {"method": "exact", "handoffs": False}),
         ("seq", {"method": "seq"}),
         ("arcs", {"method": "arcs"}),
+        ("lns", {"method": "lns"}),
         ("miqp", {"method": "exact"}),
         ("exact", {"method": "exact"}),
     ],

@@ -28,12 +28,14 @@ def information(plan: Plan) -> float:
         ("arcs", True, "arcs"),
         ("arcs", False, "arcs"),
         ("seq", True, "seq"),
+        ("lns", True, "lns"),
+        ("lns", False, "lns"),
     ],
 )
 def test_a_plan_says_which_method_made_it(method: Method, handoffs: bool, name: str) -> None:
     plan = solve(tiny_mission(133, candidates=3), method=method, handoffs=handoffs)
     assert plan.method == name
-    assert (plan.handoffs > 0) == (handoffs and method in {"exact", "auto", "arcs"})
+    assert (plan.handoffs > 0) == (handoffs and method in {"exact", "auto", "arcs", "lns"})
 
 
 def test_the_literal_model_is_reached_and_agrees() -> None:
@@ -67,7 +69,7 @@ def test_drops_of_a_warm_start_do_not_come_into_a_plan_without() -> None:
     assert information(alone) > information(free)
 
 
-@pytest.mark.parametrize("method", ["exact", "arcs", "miqp"])
+@pytest.mark.parametrize("method", ["exact", "arcs", "miqp", "lns"])
 def test_every_method_keeps_to_closed_nodes(method: Method) -> None:
     mission = tiny_mission(103, candidates=2)
     closed = {node.id for node in mission.site.nodes}
