@@ -44,6 +44,7 @@ UNRESTRICTED_SHARE = 0.2
 REFINEMENT_SHARE = 0.1
 """Of the time limit, kept for energy and makespan."""
 _ENERGY_TIE = 1e-6
+"""Energies that differ by less than this share count as equal; the sooner plan is taken."""
 
 
 def solve_lns(problem: Problem, search: Search, start: TeamPlan | None = None) -> Result:
@@ -99,7 +100,7 @@ def direct_routes(problem: Problem) -> tuple[Route, ...]:
 
 
 class PairwiseSearch:
-    """Sweeps over pairs of robots until a whole sweep gives nothing.
+    """Sweeps over pairs of robots until a whole sweep gives nothing (paper, Pairwise improvement).
 
     Attributes
     ----------
