@@ -10,17 +10,19 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+
 
 from malipp_field.field import FloatArray
 from malipp_field.planner.extract import TeamPlan
 from malipp_field.planner.labels import complete_schedules, enumerate_labels, without_dominated
-from malipp_field.planner.problem import Problem
+from malipp_field.planner.problem import IntArray, Problem
 from malipp_field.planner.realise import realise
 from malipp_field.planner.schedules import MOST_PLACES, Codes, Robot, robots_of
 
 _ROOM = 1_000_000
 """Labels at most: half a second, and as many megabytes as a robot has places, times two."""
+Group = tuple[IntArray, IntArray, FloatArray]
+
 _NOTHING = -1e300
 _TIE = 1e-12
 """Schedules whose J differ by less than this share of the prior are equal: the cheaper is taken."""
@@ -43,7 +45,7 @@ class Options:
     robot: Robot
     codes: Codes
     energy_j: FloatArray
-    groups: list[tuple[NDArray[np.int64], NDArray[np.int64], FloatArray]]
+    groups: list[Group]
 
 
 def options_of(problem: Problem) -> Options | None:
@@ -71,11 +73,12 @@ def options_of(problem: Problem) -> Options | None:
 
 def _grouped(
     robot: Robot, codes: Codes, candidates: tuple[int, ...]
-) -> list[tuple[NDArray[np.int64], NDArray[np.int64], FloatArray]]:
+) -> list[Group]:
     taken = robot.taken_of[codes + robot.capacity]
     position = {v: i for i, v in enumerate(candidates)}
     where = np.array([position.get(v, -1) for v in robot.places], dtype=np.int64)
-    counts, groups = (taken > 0).sum(axis=1), []
+    counts = (taken > 0).sum(axis=1)
+    groups: list[Group] = []
     for k in np.unique(counts[counts > 0]):
         rows = np.flatnonzero(counts == k)
         own = np.nonzero(taken[rows])[1].reshape(-1, k)

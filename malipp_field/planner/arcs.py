@@ -35,7 +35,7 @@ class InformationStage:
         self.problem, self.search = problem, search
         self._improver = Improver(problem, search.seed)
         self.best = start or self._improver.construct()
-        self.model = TeamModel(problem, seed=search.seed, threads=search.threads)
+        self.model = TeamModel(problem, seed=search.seed)
         self.bound = 0.0
         self.rounds = 0
         self._points: list[FloatArray] = []

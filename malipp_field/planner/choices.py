@@ -177,7 +177,7 @@ class Choices:
         A schedule that several robots of a kind can follow has one binary column for each of them, in order:
         so a refused choice is one row.
         """
-        model = LinearModel(seed=seed, threads=1)
+        model = LinearModel(seed=seed)
         matrix, lower, upper = self._matrix()
         energy = self._energy()
         column: dict[tuple[int, bytes, int], int] = {}

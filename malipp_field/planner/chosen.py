@@ -44,7 +44,7 @@ def _pinned(economy: Economy, search: Search, choice: Choice) -> TeamModel:
         for r, (view, robot) in enumerate(zip(problem.robots, economy.robots, strict=True))
     )
     model = TeamModel(
-        replace(problem, robots=views), precision=economy.precision, seed=search.seed, threads=search.threads
+        replace(problem, robots=views), precision=economy.precision, seed=search.seed
     )
     for r, robot in enumerate(economy.robots):
         for w, v in enumerate(robot.places):

@@ -70,7 +70,6 @@ class LinearModel:
     """Columns and rows in COO form, handed to HiGHS when first solved and then kept in step with it."""
 
     seed: int = 0
-    threads: int | None = None
     cost: list[float] = field(default_factory=list)
     lower: list[float] = field(default_factory=list)
     upper: list[float] = field(default_factory=list)
@@ -157,7 +156,7 @@ class LinearModel:
 
     def _live(self) -> Any:
         if self._solver is None:
-            self._solver = _new_solver(self.seed, self.threads)
+            self._solver = _new_solver(self.seed)
             self._solver.passModel(
                 len(self.cost), len(self._row_lower), len(self._index), int(highspy.MatrixFormat.kRowwise),
                 int(highspy.ObjSense.kMinimize), 0.0, np.array(self.cost), np.array(self.lower),
@@ -178,7 +177,7 @@ class LinearModel:
         )
 
 
-def _new_solver(seed: int, threads: int | None) -> Any:
+def _new_solver(seed: int) -> Any:
     solver = highspy.Highs()
     solver.setOptionValue("output_flag", False)
     solver.setOptionValue("random_seed", seed)
@@ -189,8 +188,8 @@ def _new_solver(seed: int, threads: int | None) -> Any:
     # they gave (measured on two robots and eight candidates).
     solver.setOptionValue("mip_heuristic_effort", 0.01)
     solver.setOptionValue("mip_pscost_minreliable", 2)
-    if threads is not None:
-        solver.setOptionValue("threads", threads)
+    # HiGHS has one scheduler a process, and refuses a second number of threads; its searches gain little by two
+    solver.setOptionValue("threads", 1)
     return solver
 
 

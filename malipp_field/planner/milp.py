@@ -66,7 +66,7 @@ class TeamModel:
         What is to be planned.
     precision : array, shape (V,), optional
         Fixes the precision of every candidate (the energy and makespan stages); J then needs no columns.
-    seed, threads
+    seed
         Passed to HiGHS.
     """
 
@@ -76,10 +76,9 @@ class TeamModel:
         *,
         precision: FloatArray | None = None,
         seed: int = 0,
-        threads: int | None = None,
     ) -> None:
         self.problem = problem
-        self.linear = LinearModel(seed=seed, threads=threads)
+        self.linear = LinearModel(seed=seed)
         self.columns = Columns()
         self.classes = sorted({robot.precision for robot in problem.robots})
         self.groups: tuple[Group, ...] = ()

@@ -58,7 +58,7 @@ def share_stock(problem: Problem, search: Search) -> list[tuple[int, ...]] | Non
         return none
     robots = tuple(replace(robot, limits=np.zeros_like(robot.limits)) for robot in problem.robots)
     errands = prune(replace(problem, robots=robots, handoffs=False))
-    model = TeamModel(errands, precision=problem.gained, seed=search.seed, threads=search.threads)
+    model = TeamModel(errands, precision=problem.gained, seed=search.seed)
     model.linear.objective(model.energy_terms())
     outcome = model.linear.solve(search.effort, gap=1e-3)
     if outcome.point is None:

@@ -81,7 +81,7 @@ def shortage(
     state
         Where the team stands; the beginning of the mission where it is None.
     search
-        Its effort limits the question (half a second it may always take); seed and threads are HiGHS's.
+        Its effort limits the question (half a second it may always take); the seed is HiGHS's.
     handoffs, closed
         As for `malipp_field.planner.problem.build_problem`.
     """
@@ -132,7 +132,7 @@ def _errands_only(problem: Problem) -> Problem:
 
 def _elastic(problem: Problem, generous: Problem, search: Search) -> tuple[TeamModel, list[int]]:
     """Return the generous model that minimises what it uses beyond ``problem``, and the columns k_r."""
-    model = TeamModel(generous, precision=problem.gained, seed=search.seed, threads=search.threads)
+    model = TeamModel(generous, precision=problem.gained, seed=search.seed)
     total_j = max(sum(robot.budget_j for robot in problem.robots), 1.0)
     costs = [(column, _TIDINESS * value / total_j) for column, value in model.energy_terms()]
     room = []

@@ -99,7 +99,7 @@ def _fixed_model(problem: Problem, search: Search, precision: FloatArray) -> Tea
         limits[list(wasted)] = 0
         robots.append(replace(robot, limits=limits))
     smaller = prune(replace(problem, robots=tuple(robots)))
-    return TeamModel(smaller, precision=precision, seed=search.seed, threads=search.threads)
+    return TeamModel(smaller, precision=precision, seed=search.seed)
 
 
 def _run_stage(model: TeamModel, search: Search, best: TeamPlan) -> tuple[TeamPlan, Outcome]:
