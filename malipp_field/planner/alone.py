@@ -80,9 +80,9 @@ def _grouped(
     counts = (taken > 0).sum(axis=1)
     groups: list[Group] = []
     for k in np.unique(counts[counts > 0]):
-        rows = np.flatnonzero(counts == k)
+        rows: IntArray = np.flatnonzero(counts == k)
         own = np.nonzero(taken[rows])[1].reshape(-1, k)
-        precision = robot.precision * np.take_along_axis(taken[rows], own, axis=1)
+        precision: FloatArray = robot.precision * np.take_along_axis(taken[rows], own, axis=1)
         groups.append((rows, where[own], precision))
     return groups
 
