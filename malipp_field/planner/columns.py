@@ -1,4 +1,4 @@
-"""What goes into and comes out of the master: its points, its schedules, and what a node of the tree forbids."""
+"""What goes into and comes out of the master: its points, its schedules, and what a node forbids."""
 
 from __future__ import annotations
 

@@ -548,7 +548,7 @@ def price_labels(actor, gain, must, exact_load, least, room, enough):  # type: i
 
 
 @njit(cache=True)
-def scan(codes, K, gain, firsts, seconds, pair_gain, marks, least, values):  # type: ignore[no-untyped-def]
+def scan(codes, K, gain, firsts, seconds, pair_gain, least, values):  # type: ignore[no-untyped-def]
     """Write the value of every schedule of a pool into ``values``; below ``least`` only a bound on it.
 
     Parameters
@@ -557,10 +557,10 @@ def scan(codes, K, gain, firsts, seconds, pair_gain, marks, least, values):  # t
         Operation codes, less K.
     gain : array, shape (P, C)
         Indexed by code; minus infinity forbids.
-    firsts, seconds, pair_gain : array, shape (Q,)
-        Two columns of ``marks`` and the value of their product, none above zero.
-    marks : array, shape (M, 3 P)
-        See `schedules.Robot.marks`.
+    firsts, seconds : array, shape (Q,)
+        Pairs of places.
+    pair_gain : array, shape (Q, C, C)
+        What the codes at both are worth besides, never above zero.
     """
     M, P = codes.shape
     for i in range(M):
@@ -569,5 +569,5 @@ def scan(codes, K, gain, firsts, seconds, pair_gain, marks, least, values):  # t
             total += gain[w, codes[i, w] + K]
         if total > least:
             for k in range(firsts.shape[0]):
-                total += pair_gain[k] * marks[i, firsts[k]] * marks[i, seconds[k]]
+                total += pair_gain[k, codes[i, firsts[k]] + K, codes[i, seconds[k]] + K]
         values[i] = total

@@ -11,16 +11,16 @@
         theta_G >= tangents and envelopes of J                          (`cuts`, `envelope`)
 
 Its columns lambda are priced by `schedules`; every row is a sum over places of something that depends on the
-code there, so pricing needs no more than a table of gains, one for each code at each place. The rows of
-products (E[n_u n_v] in the envelopes; samples at u with drops at v) are the exception: only schedules that are
-listed count in them.
+code there (`rows`), so pricing needs no more than a table of gains, one for each code at each place. The rows
+of products (E[n_u n_v] in the envelopes; samples at u with drops at v) are the exception: only schedules that
+are listed count in them.
 """
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import highspy
 import numpy as np
@@ -32,6 +32,7 @@ from malipp_field.planner.cuts import split_information
 from malipp_field.planner.envelope import Envelope, Pair, levels_of
 from malipp_field.planner.linear import INFINITY
 from malipp_field.planner.problem import Problem
+from malipp_field.planner.rows import Own, Rows
 from malipp_field.planner.schedules import Codes, Pairs, Robot
 
 _PENALTY = 100.0
@@ -56,14 +57,6 @@ that samples at u drops at the node."""
 
 
 @dataclass
-class Feature:
-    """A row over codes: the sum over robots of the table entries of their schedules' codes."""
-
-    row: int
-    tables: dict[int, FloatArray]
-
-
-@dataclass
 class LiveCut:
     """A row that may be dropped again."""
 
@@ -80,7 +73,8 @@ class Master:
         self.class_of = [self.classes.index(robot.precision) for robot in robots]
         self.position = {v: i for i, v in enumerate(problem.candidates)}
         self.stacks = [Stack(len(robot.places)) for robot in robots]
-        self.features: list[Feature] = []
+        self.rows = [Rows(robot) for robot in robots]
+        """What schedules count in, by robot."""
         self.n: dict[tuple[int, int], int] = {}
         self.z: list[list[tuple[tuple[int, ...], int]]] = [[] for _ in problem.candidates]
         self._solver = highspy.Highs()
@@ -89,11 +83,12 @@ class Master:
             ("primal_feasibility_tolerance", 1e-9), ("dual_feasibility_tolerance", 1e-9),
         ):  # fmt: skip
             self._solver.setOptionValue(option, value)
-        self._rows = self._cols = 0
+        self._row_count = self._column_count = 0
         self._cuts: list[LiveCut] = []
-        self._product: dict[Product, tuple[int, int]] = {}
-        """Column and row of every expectation of a product."""
-        self._product_marks: list[dict[Product, tuple[int, int]]] = [{} for _ in robots]
+        self._product: dict[Product, int] = {}
+        """Column of every expectation of a product."""
+        self._counted: list[set[Product]] = [set() for _ in robots]
+        """Products in whose rows a robot's schedules count."""
         self._fetched: dict[int, int] = {}
         """Column of how many robots pick at a node."""
         self._anchored: set[Product] = set()
@@ -103,12 +98,6 @@ class Master:
         self._select(most)
         self._exchange()
         self._information(most)
-        self._tables = [
-            np.array([feature.tables.get(r, np.zeros((len(robot.places), robot.width))).ravel()
-                      for feature in self.features]).reshape(-1, len(robot.places) * robot.width)
-            for r, robot in enumerate(robots)
-        ]  # fmt: skip
-        self._feature_rows = np.array([feature.row for feature in self.features], dtype=np.int64)
 
     # building
 
@@ -116,15 +105,26 @@ class Master:
         index = np.array([column for column, _ in terms], dtype=np.int32)
         value = np.array([coefficient for _, coefficient in terms], dtype=float)
         self._solver.addRow(lower, upper, len(index), index, value)
-        self._rows += 1
-        return self._rows - 1
+        self._row_count += 1
+        return self._row_count - 1
+
+    def _over(
+        self, what: Mapping[int, Own], terms: Sequence[tuple[int, float]], lower: float, upper: float
+    ) -> int:
+        """Add a row over what schedules do, by robot; schedules that are known already count in it."""
+        terms = list(terms)
+        for r, own in what.items():
+            values, column = own.values(self.robots[r], self.stacks[r].codes), self.stacks[r].column
+            terms += zip(column[values != 0.0].tolist(), values[values != 0.0].tolist(), strict=True)
+            self.rows[r].add(self._row_count, own)
+        return self._row(terms, lower, upper)
 
     def _column(self, cost: float, lower: float, upper: float, terms: Sequence[tuple[int, float]]) -> int:
         index = np.array([row for row, _ in terms], dtype=np.int32)
         value = np.array([coefficient for _, coefficient in terms], dtype=float)
         self._solver.addCol(cost, lower, upper, len(index), index, value)
-        self._cols += 1
-        return self._cols - 1
+        self._column_count += 1
+        return self._column_count - 1
 
     def _stand_in(self, row: int) -> int:
         """Return a column that meets a row as long as there are no schedules that do."""
@@ -155,15 +155,11 @@ class Master:
         self.n[k, i] = n
         levels = [(column, float(counts[k])) for counts, column in self.z[i] if counts[k]]
         self._row([*levels, (n, -1.0)], 0.0, 0.0)
-        row = self._row([(n, -1.0)], 0.0, 0.0)
-        self._absent.append(self._stand_in(row))
-        tables = {}
-        for r, robot in enumerate(self.robots):
-            if self.class_of[r] == k and node in robot.places:
-                table = np.zeros((len(robot.places), robot.width))
-                table[robot.places.index(node)] = robot.taken_of
-                tables[r] = table
-        self.features.append(Feature(row, tables))
+        taken = {
+            r: Own({robot.places.index(node): robot.taken_of.astype(float)})
+            for r, robot in enumerate(self.robots) if self.class_of[r] == k and node in robot.places
+        }  # fmt: skip
+        self._absent.append(self._stand_in(self._over(taken, [(n, -1.0)], 0.0, 0.0)))
 
     def _exchange(self) -> None:
         nodes = sorted({v for robot in self.robots for v in robot.places})
@@ -185,20 +181,17 @@ class Master:
         """Add a row of exchanges at a node: all of them, or what one sender's drop of t or more asks for."""
         tables = {}
         for r, w in here:
-            robot = self.robots[r]
-            h = robot.exchange_of
-            table = np.zeros((len(robot.places), robot.width))
+            h = self.robots[r].exchange_of
             if sender is None:
-                table[w] = h
+                table = h.astype(float)
             elif r == sender:
-                table[w] = -t * (h <= -t)
+                table = -t * (h <= -t).astype(float)
             else:
-                table[w] = np.clip(h, 0, t)
-            tables[r] = table
-        row = self._row([], least, INFINITY)
+                table = np.clip(h, 0, t).astype(float)
+            tables[r] = Own({w: table})
+        row = self._over(tables, [], least, INFINITY)
         if least:
             self._absent.append(self._stand_in(row))
-        self.features.append(Feature(row, tables))
 
     def _dropped_where_taken(self, v: int, here: list[tuple[int, int]], t: int) -> None:
         """Add: robots that sample at v and drop t or more there need somebody to pick t at the same time.
@@ -209,12 +202,8 @@ class Master:
         for r, w in here:
             robot = self.robots[r]
             h = robot.exchange_of
-            table = np.zeros((len(robot.places), robot.width))
-            table[w] = np.clip(h, 0, t) - t * ((h <= -t) & (robot.taken_of > 0))
-            tables[r] = table
-        self.features.append(
-            Feature(self._row(self._beyond_one(self.position.get(v), t), 0.0, INFINITY), tables)
-        )
+            tables[r] = Own({w: np.clip(h, 0, t) - t * ((h <= -t) & (robot.taken_of > 0)).astype(float)})
+        self._over(tables, self._beyond_one(self.position.get(v), t), 0.0, INFINITY)
 
     def _beyond_one(self, i: int | None, t: int = 1) -> list[tuple[int, float]]:
         """Return t times the samples at a candidate beyond the first."""
@@ -225,13 +214,8 @@ class Master:
     def _pickers(self, v: int, here: list[tuple[int, int]]) -> None:
         """Add the column of how many robots pick at node v."""
         self._fetched[v] = self._column(0.0, 0.0, INFINITY, [])
-        tables = {}
-        for r, w in here:
-            robot = self.robots[r]
-            table = np.zeros((len(robot.places), robot.width))
-            table[w] = robot.exchange_of > 0
-            tables[r] = table
-        self.features.append(Feature(self._row([(self._fetched[v], -1.0)], 0.0, INFINITY), tables))
+        tables = {r: Own({w: (self.robots[r].exchange_of > 0).astype(float)}) for r, w in here}
+        self._over(tables, [(self._fetched[v], -1.0)], 0.0, INFINITY)
 
     def _information(self, most: NDArray[np.int64]) -> None:
         problem = self.problem
@@ -277,17 +261,10 @@ class Master:
 
     def add(self, r: int, codes: Codes) -> bool:
         """Add a schedule; return False where it is known already."""
-        robot, stack = self.robots[r], self.stacks[r]
+        stack = self.stacks[r]
         if codes in stack:
             return False
-        cells = np.arange(len(robot.places)) * robot.width + codes + robot.capacity
-        values = self._tables[r][:, cells].sum(axis=1)
-        terms = [(self._convexity[r], 1.0)]
-        terms += [(int(self._feature_rows[f]), float(values[f])) for f in np.flatnonzero(values)]
-        marks = robot.marks(codes[None, :])[0]
-        for product, (w, x) in self._product_marks[r].items():
-            if marks[w] and marks[x]:
-                terms.append((self._product[product][1], float(marks[w] * marks[x])))
+        terms = [(self._convexity[r], 1.0), *self.rows[r].terms(codes)]
         stack.add(codes, self._column(0.0, 0.0, INFINITY, terms))
         return True
 
@@ -375,19 +352,11 @@ class Master:
 
     def gains(self, dual: FloatArray, r: int) -> FloatArray:
         """Return what each code at each place of robot r is worth, shape (P, C)."""
-        robot = self.robots[r]
-        gains: FloatArray = dual[self._feature_rows] @ self._tables[r]
-        return gains.reshape(len(robot.places), robot.width)
+        return self.rows[r].gains(dual)
 
     def pair_gains(self, dual: FloatArray, r: int) -> Pairs:
-        """Return the products that schedules of robot r count in, and their values."""
-        rows = [(w, x, dual[self._product[product][1]]) for product, (w, x) in self._product_marks[r].items()]
-        rows = [entry for entry in rows if entry[2] != 0.0]
-        return (
-            np.array([w for w, _, _ in rows], dtype=np.int64),
-            np.array([x for _, x, _ in rows], dtype=np.int64),
-            np.array([min(0.0, value) for _, _, value in rows], dtype=float),
-        )
+        """Return pairs of places, and what each two codes there are worth besides: nothing is above zero."""
+        return self.rows[r].pair_gains(dual)
 
     def least_value(self, dual: FloatArray, r: int) -> float:
         """Return the value above which a schedule of robot r lowers the objective."""
@@ -452,7 +421,7 @@ class Master:
                 for (u, a), (v, b) in itertools.combinations(sampled, 2):
                     pair = (self.class_of[r], u, v)
                     # a row made before this robot's schedules were listed does not count it
-                    if ("taken", *pair) not in self._product or ("taken", *pair) in self._product_marks[r]:
+                    if ("taken", *pair) not in self._product or ("taken", *pair) in self._counted[r]:
                         found[pair] = found.get(pair, 0.0) + part * a * b
         return found
 
@@ -492,28 +461,29 @@ class Master:
     def _product_column(self, product: Product) -> int:
         """Return the column of an expectation that is at least what the listed schedules bring about."""
         if product not in self._product:
-            row = self._row([], -INFINITY, 0.0)
-            self._product[product] = (self._column(0.0, 0.0, INFINITY, [(row, -1.0)]), row)
+            column = self._column(0.0, 0.0, INFINITY, [])
+            tables = {}
             for r, robot in enumerate(self.robots):
-                marks = self._marks_of(product, r)
-                if marks is None or robot.pool is None:
+                place = self._places_of(product, r)
+                if place is None or robot.pool is None:
                     continue
-                self._product_marks[r][product] = marks
-                values = robot.marks(self.stacks[r].codes)[:, marks].prod(axis=1)
-                for m in np.flatnonzero(values):
-                    self._solver.changeCoeff(row, int(self.stacks[r].column[m]), float(values[m]))
-        return self._product[product][0]
+                self._counted[r].add(product)
+                taken, dropped = robot.taken_of, robot.exchange_of < 0
+                both = (taken, taken) if product[0] == "taken" else (taken > 0, dropped)
+                tables[r] = Own(paired={place: np.outer(*both).astype(float)})
+            self._over(tables, [(column, -1.0)], -INFINITY, 0.0)
+            self._product[product] = column
+        return self._product[product]
 
-    def _marks_of(self, product: Product, r: int) -> tuple[int, int] | None:
-        """Return the columns of `Robot.marks` whose product it is; None where robot r has no part in it."""
+    def _places_of(self, product: Product, r: int) -> tuple[int, int] | None:
+        """Return the two places of robot r whose codes make up the product; None where it has no part."""
         kind, k, u, v = product
-        places, count = self.robots[r].places, len(self.robots[r].places)
+        places = self.robots[r].places
         one = self.problem.candidates[u]
         other = self.problem.candidates[v] if kind == "taken" else v
         if one not in places or other not in places or (kind == "taken" and self.class_of[r] != k):
             return None
-        w, x = places.index(one), places.index(other)
-        return (w, x) if kind == "taken" else (count + w, 2 * count + x)
+        return places.index(one), places.index(other)
 
     def forbid(self, counts: dict[tuple[int, int], int]) -> None:
         """Forbid all plans that take at least so many samples of each class at each candidate."""
@@ -535,13 +505,12 @@ class Master:
             return
         self._solver.deleteRows(len(gone), np.array(gone, dtype=np.int32))
         rows = np.array(gone)
-        self._rows -= len(gone)
+        self._row_count -= len(gone)
         self._cuts = [
             LiveCut(_moved(cut.row, rows), cut.idle) for cut in self._cuts if cut.idle <= _IDLE_ROUNDS
         ]
-        self._product = {
-            product: (column, _moved(row, rows)) for product, (column, row) in self._product.items()
-        }
+        for counted in self.rows:
+            counted.renumber(rows)
 
 
 def _moved(row: int, gone: NDArray[np.int64]) -> int:

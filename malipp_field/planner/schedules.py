@@ -25,7 +25,7 @@ from malipp_field.planner.problem import Problem
 
 Codes = NDArray[np.int16]
 Pairs = tuple[NDArray[np.int64], NDArray[np.int64], FloatArray]
-"""Two columns of `Robot.marks` and the value of their product, for every pair."""
+"""Pairs of places (two arrays of shape (Q,)) and the value of any two codes there, shape (Q, C, C)."""
 
 MOST_PLACES = 63
 """Places of a robot: those visited are the bits of one word."""
@@ -42,7 +42,6 @@ class Pool:
     """All schedules of a robot that can be part of a better plan."""
 
     codes: Codes
-    marks: NDArray[np.int16]
     values: FloatArray
 
 
@@ -82,17 +81,6 @@ class Robot:
         """Return h of every code, shape (C,)."""
         return np.arange(self.width) % (2 * self.capacity + 1) - self.capacity
 
-    def marks(self, codes: Codes) -> NDArray[np.int16]:
-        """Return what products are made of, shape (M, 3 P): samples taken; if any are; if some are dropped.
-
-        Parameters
-        ----------
-        codes : array, shape (M, P), less K
-        """
-        taken = self.taken_of[codes + self.capacity]
-        dropped = self.exchange_of[codes + self.capacity] < 0
-        return np.concatenate([taken, taken > 0, dropped], axis=1).astype(np.int16)
-
     def list_all(
         self, gain: FloatArray, least: float, room: int = _FIRST_ROOM, *, dominated: bool = False
     ) -> bool:
@@ -128,7 +116,7 @@ class Robot:
             self.pool = self._pool(np.ascontiguousarray(self.pool.codes[kept]))
 
     def _pool(self, codes: Codes) -> Pool:
-        return Pool(codes, self.marks(codes), np.zeros(len(codes)))
+        return Pool(codes, np.zeros(len(codes)))
 
     def price(
         self, gain: FloatArray, pairs: Pairs,
@@ -141,7 +129,7 @@ class Robot:
         gain : array, shape (P, C)
             Value of every code; minus infinity forbids it.
         pairs
-            Columns of `marks` and the value of their product (listed schedules only).
+            What two codes at two places are worth besides, never above zero (listed schedules only).
         exact_load
             See `labels.price_labels`.
         """
@@ -168,7 +156,7 @@ class Robot:
     def _scan(self, gain: FloatArray, pairs: Pairs, least: float) -> tuple[float, list[Codes]]:
         pool = self.pool
         assert pool is not None
-        scan(pool.codes, self.capacity, gain, *pairs, pool.marks, least, pool.values)
+        scan(pool.codes, self.capacity, gain, *pairs, least, pool.values)
         good = np.flatnonzero(pool.values > least)
         if good.size == 0:
             return max(least, float(pool.values.max(initial=-np.inf))), []

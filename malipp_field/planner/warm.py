@@ -48,7 +48,12 @@ def main() -> None:
     solve(mission, method="exact", time_limit_s=_LIMIT_S)
     robot = robots_of(build_problem(mission))[0]  # pricing, which so small a mission does without
     none = np.zeros(0, dtype=np.int64)
-    robot.price(np.zeros((len(robot.places), robot.width)), (none, none, np.zeros(0)), 0.0, exact_load=False)
+    robot.price(
+        np.zeros((len(robot.places), robot.width)),
+        (none, none, np.zeros((0, robot.width, robot.width))),
+        0.0,
+        exact_load=False,
+    )
 
 
 if __name__ == "__main__":

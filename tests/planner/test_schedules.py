@@ -15,7 +15,7 @@ from malipp_field.planner.problem import build_problem, in_units
 from malipp_field.planner.schedules import Robot, robots_of
 
 _ALL = -1e300
-_NO_PAIRS = (np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros(0))
+_NO_PAIRS = (np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros((0, 1, 1)))
 
 
 def robot_of(actor: Actor) -> Robot:
@@ -77,7 +77,8 @@ def test_the_value_of_pairs_counts_for_listed_schedules() -> None:
     u, v = np.flatnonzero(robot.actor.limits)[:2]
     gain = robot.taken_of * np.ones((4, 1))
     expected = (taken.sum(axis=1) - 5.0 * taken[:, u] * taken[:, v]).max()
-    most, _ = robot.price(gain, (np.array([u]), np.array([v]), np.array([-5.0])), -100.0, exact_load=False)
+    worth: FloatArray = -5.0 * np.outer(robot.taken_of, robot.taken_of).astype(np.float64)[None]
+    most, _ = robot.price(gain, (np.array([u]), np.array([v]), worth), -100.0, exact_load=False)
     assert most == expected
 
 
