@@ -82,7 +82,7 @@ def _grouped(
     for k in np.unique(counts[counts > 0]):
         rows: IntArray = np.flatnonzero(counts == k)
         own = np.nonzero(taken[rows])[1].reshape(-1, k)
-        precision: FloatArray = robot.precision * np.take_along_axis(taken[rows], own, axis=1)
+        precision = (robot.precision * np.take_along_axis(taken[rows], own, axis=1)).astype(np.float64)
         groups.append((rows, where[own], precision))
     return groups
 
