@@ -15,7 +15,7 @@ from malipp_field.planner.draft import Draft, draft_of
 from malipp_field.planner.extract import TeamPlan, team_plan
 from malipp_field.planner.linear import Effort
 from malipp_field.planner.problem import Problem
-from malipp_field.planner.search_kernel import CYCLE, DONE, IMPROVED, Kernel
+from malipp_field.planner.search_kernel import CYCLE, DONE, IMPROVED, LONGER, Kernel
 from malipp_field.planner.search_state import (
     LEAST_HOPS,
     case_of,
@@ -59,6 +59,22 @@ class Improver:
         if self._kernel.counters[IMPROVED] > self._seen:
             self._take()
         return self._known if self._known is not None and self._known.rank < team.rank else team
+
+    def cool(self, team: TeamPlan, iterations: int, effort: Effort) -> TeamPlan:
+        """Return the best plan of one whole cooling begun with ``team``; never a worse one."""
+        if not self._begin(team):
+            return team
+        counters = self._kernel.counters
+        counters[CYCLE] = counters[DONE] = max(1, iterations // LONGER)
+        self._run(LONGER * max(1, iterations // LONGER), effort)
+        if self._kernel.counters[IMPROVED] > self._seen:
+            self._take()
+        return self._known if self._known is not None and self._known.rank < team.rank else team
+
+    @property
+    def rate(self) -> float:
+        """Iterations a second, lately; 0 before the first."""
+        return self._rate
 
     def construct(self) -> TeamPlan | None:
         """Return a plan in which all robots and what must come home do come home; None if none is found.

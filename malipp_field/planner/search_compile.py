@@ -22,5 +22,5 @@ def spliced(function: _F) -> _F:
 
 
 def stored(function: _F) -> _F:
-    """Compile a function that Python calls, and keep the result on disk."""
-    return cast("_F", njit(error_model="numpy", cache=True)(function))
+    """Compile a function that Python calls, and keep the result on disk; other threads run meanwhile."""
+    return cast("_F", njit(error_model="numpy", cache=True, nogil=True)(function))

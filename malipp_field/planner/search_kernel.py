@@ -52,7 +52,7 @@ HEAT, SCALE = range(2)
 
 _START_TEMPERATURE, _END_TEMPERATURE = 1e-2, 1e-4
 """As shares of J of the plan a cycle begins with."""
-_LONGER = 2
+LONGER = 2
 """How much longer each cycle of cooling is than the one before."""
 _ENERGY_WEIGHT = 3e-4
 """What all budgets count as, as a share of J of the prior: among equals the cheaper is kept."""
@@ -233,7 +233,7 @@ def _begin_cycle(case: Case, now: State, best: State, counters: IntArray, figure
     """Heat up again, from the best plan."""
     copy(now, best)
     counters[DONE] = 0
-    counters[CYCLE] *= _LONGER
+    counters[CYCLE] *= LONGER
     figures[SCALE] = max(best.value[0], _TIE * case.prior)
     figures[HEAT] = _START_TEMPERATURE * figures[SCALE]
 

@@ -1,0 +1,56 @@
+"""Several walks of ruin and recreate at once, one on each core, that tell each other what they find.
+
+A walk is one cooling, begun with the best plan known. All walks of a round are equally long, and the next
+round begins when the last of them has ended: what is found does not depend on which core was quicker.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+
+from malipp_field.planner.extract import TeamPlan
+from malipp_field.planner.improve import Improver
+from malipp_field.planner.linear import Effort
+from malipp_field.planner.problem import Problem
+
+_FIRST_ROUND = 1_000
+"""Iterations of each walk in the first round."""
+_LONGER = 2.0
+"""How much longer every round is than the one before: a slower cooling ends in better plans."""
+_LAST = 1.5
+"""A round that would leave less time than this share of its own after it takes all the time that is left."""
+
+
+def cores() -> int:
+    """Return how many cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+class Walks:
+    """Walks of one problem, reproducible for a seed and a number of walks."""
+
+    def __init__(self, problem: Problem, seed: int, many: int) -> None:
+        self._improvers = [Improver(problem, seed + k) for k in range(many)]
+
+    def construct(self) -> TeamPlan | None:
+        """Return a plan to begin with, or None where none is found."""
+        return self._improvers[0].construct()
+
+    def rounds(self, start: TeamPlan, effort: Effort) -> Iterator[TeamPlan]:
+        """Yield the best plan after every round, for as long as the effort lasts."""
+        best, length = start, _FIRST_ROUND
+        with ThreadPoolExecutor(len(self._improvers)) as pool:
+            while not effort.over:
+                length = self._fitting(length, effort)
+                found = pool.map(lambda walk: walk.cool(best, length, effort), self._improvers)  # noqa: B023
+                best = min([best, *found], key=lambda plan: plan.rank)
+                yield best
+                length = int(_LONGER * length)
+
+    def _fitting(self, length: int, effort: Effort) -> int:
+        """Return the length of the next round: a cooling that is cut short is wasted."""
+        rate = min(walk.rate for walk in self._improvers)
+        left = rate * effort.left_s
+        return int(left) if 0 < left < (1.0 + _LAST) * length else length
