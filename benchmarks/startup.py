@@ -25,7 +25,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from malipp_field.bench.page import machine, table
+from malipp_field.bench.machine import machine, versions
+from malipp_field.bench.page import table
 from malipp_field.bench.script import ended
 from malipp_field.cli.app import LIMIT_REACHED
 from malipp_field.errors import MalippError
@@ -125,7 +126,8 @@ def _page(trees: Sequence[Path], figures: Figures, rounds: int) -> list[str]:
         "",
         f"Made by `python benchmarks/startup.py --rounds {rounds}{other} --write`.",
         "",
-        *machine(("numba", "numpy", "highspy", "clarabel", "pydantic", "typer")),
+        f"- machine: {machine()}",
+        f"- versions: {versions()}",
         f"- date: {datetime.datetime.now(tz=datetime.UTC).date().isoformat()}; {rounds} rounds",
         f"- load average during the last rounds, other work included: {os.getloadavg()[0]:.1f}",
         f"- byte code of numba: {'stored' if _has_byte_code('numba') else 'compiled anew by every process'}",

@@ -30,6 +30,7 @@ ratio, test points or budgets are over the same site.
 from __future__ import annotations
 
 import hashlib
+import io
 import itertools
 import json
 import math
@@ -168,12 +169,19 @@ def write_mission(mission: Mission, path: Path) -> None:
     InputError
         When the file cannot be written.
     """
+    with whole_file(path) as partial:
+        partial.write_text(mission_text(mission), encoding="utf-8")
+
+
+def mission_text(mission: Mission) -> str:
+    """Return the content of a mission's file."""
     yaml = YAML()
     yaml.default_flow_style = None
     yaml.width = 110
     content = mission.model_dump(mode="json", by_alias=True, exclude_defaults=True)
-    with whole_file(path) as partial, partial.open("w", encoding="utf-8") as stream:
-        yaml.dump(content, stream)
+    stream = io.StringIO()
+    yaml.dump(content, stream)
+    return stream.getvalue()
 
 
 def _stream(spec: Specification, purpose: int) -> np.random.Generator:

@@ -6,18 +6,17 @@ import datetime
 import functools
 import hashlib
 import json
-import os
+import math
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal, cast, get_args
 
-from pydantic import ValidationError
-
 import malipp_field.planner
 from malipp_field.bench.budgets import sampled_nodes
+from malipp_field.bench.lines import JsonLines
+from malipp_field.bench.machine import machine, versions
 from malipp_field.documents import StrictModel
-from malipp_field.errors import InputError
 from malipp_field.mission import Mission, TeamState
 from malipp_field.mission.schema import Method
 from malipp_field.plan import Plan
@@ -36,6 +35,14 @@ Ending = Literal[
 ]
 """A plan's status, or why there is none: the planner raised, its process died, overran its time by far, took
 too much memory, or does not know the method."""
+
+FAILED: frozenset[Ending] = frozenset({"fault", "crashed", "killed", "out of memory"})
+"""Endings that should not be."""
+
+Moment = tuple[float, float | None, float | None]
+"""Seconds since the planner was called, J of the best plan and the proven bound then (None: none yet)."""
+_BOUND_STEP = 1e-3
+"""A trail keeps a bound that has risen by this share; every better plan is kept."""
 
 
 @dataclass(frozen=True)
@@ -64,8 +71,9 @@ class Task:
 class Row(StrictModel):
     """What came of a task.
 
-    ``root_bound`` is the first bound on J that was reported, ``peak_mib`` the largest resident memory of the
-    process that planned (and, at most, of processes it started), ``code`` the planner's fingerprint.
+    ``root_bound`` is the first bound on J that was reported, ``trail`` how plan and bound became better,
+    ``peak_mib`` the largest resident memory of the process that planned (and, at most, of processes it
+    started), ``code`` the planner's fingerprint.
     """
 
     key: str
@@ -74,6 +82,8 @@ class Row(StrictModel):
     handoffs: bool
     time_limit_s: float
     mip_gap: float
+    threads: int | None = None
+    planner_seed: int = 0
     status: Ending
     reason: str | None = None
     time_s: float
@@ -82,12 +92,25 @@ class Row(StrictModel):
     makespan_s: float | None = None
     bound: float | None = None
     root_bound: float | None = None
+    trail: tuple[Moment, ...] = ()
     drops: int = 0
     sampled: int = 0
     candidates: int = 0
     peak_mib: float | None = None
     code: str = ""
+    machine: str = ""
+    versions: str = ""
     date: str = ""
+
+    @property
+    def first_plan_s(self) -> float | None:
+        """Return when the first plan was there; None if there never was one."""
+        return next((time_s for time_s, information, _ in self.trail if information is not None), None)
+
+    def information_at(self, time_s: float) -> float | None:
+        """Return J of the best plan there was at a time; None before the first."""
+        known = [j for moment_s, j, _ in self.trail if moment_s <= time_s and j is not None]
+        return min(known, default=None)
 
     @property
     def gap(self) -> float | None:
@@ -112,12 +135,7 @@ def run_task(task: Task) -> Row:
     """
     if task.method not in get_args(Method):
         return unfinished(task, "not available", f"this planner has no method {task.method}", 0.0)
-    bounds: list[float] = []
-
-    def note(progress: Progress) -> None:
-        if not bounds and progress.bound is not None:
-            bounds.append(progress.bound)
-
+    trail = Trail()
     started = time.monotonic()
     try:
         plan = solve(
@@ -128,11 +146,38 @@ def run_task(task: Task) -> Row:
             time_limit_s=task.time_limit_s,
             mip_gap=task.mip_gap,
             threads=task.threads,
-            on_progress=note,
+            on_progress=trail.note,
         )
     except Exception as fault:  # whatever it is, it costs this row only
         return unfinished(task, "fault", f"{type(fault).__name__}: {fault}", time.monotonic() - started)
-    return _finished(task, plan, time.monotonic() - started, bounds[0] if bounds else None)
+    return _finished(task, plan, time.monotonic() - started, trail)
+
+
+@dataclass
+class Trail:
+    """What a planner told on its way, as far as it was news."""
+
+    moments: list[Moment] = field(default_factory=list)
+    root_bound: float | None = None
+
+    def note(self, progress: Progress) -> None:
+        """Keep a better plan, or a bound that has risen by more than a little."""
+        bound = progress.bound if progress.bound is not None and math.isfinite(progress.bound) else None
+        if self.root_bound is None:
+            self.root_bound = bound
+        _, best, proven = self.moments[-1] if self.moments else (0.0, None, None)
+        better = progress.incumbent is not None and (best is None or progress.incumbent < best)
+        higher = bound is not None and (proven is None or bound - proven > _BOUND_STEP * abs(bound))
+        if better or higher:
+            self.moments.append((
+                progress.elapsed_s,
+                progress.incumbent if better else best,
+                bound if higher else proven,
+            ))  # fmt: skip
+
+    def ended(self, time_s: float, information: float | None, bound: float | None) -> tuple[Moment, ...]:
+        """Return the trail with the plan at the end as its last moment."""
+        return (*self.moments, (time_s, information, bound))
 
 
 def unfinished(task: Task, status: Ending, reason: str, time_s: float) -> Row:
@@ -144,15 +189,19 @@ def unfinished(task: Task, status: Ending, reason: str, time_s: float) -> Row:
         handoffs=task.handoffs,
         time_limit_s=task.time_limit_s,
         mip_gap=task.mip_gap,
+        threads=task.threads,
+        planner_seed=task.mission.planner.seed,
         status=status,
         reason=reason,
         time_s=time_s,
         code=planner_fingerprint(),
+        machine=machine(),
+        versions=versions(),
         date=datetime.datetime.now(tz=datetime.UTC).date().isoformat(),
     )
 
 
-def _finished(task: Task, plan: Plan, time_s: float, root_bound: float | None) -> Row:
+def _finished(task: Task, plan: Plan, time_s: float, trail: Trail) -> Row:
     row = unfinished(task, plan.status, plan.reason or "", time_s)
     goal = plan.objective
     return row.model_copy(
@@ -162,7 +211,8 @@ def _finished(task: Task, plan: Plan, time_s: float, root_bound: float | None) -
             "energy_j": None if goal is None else goal.energy_j,
             "makespan_s": None if goal is None else goal.makespan_s,
             "bound": plan.bound.information,
-            "root_bound": root_bound,
+            "root_bound": trail.root_bound,
+            "trail": trail.ended(time_s, None if goal is None else goal.information, plan.bound.information),
             "drops": plan.handoffs,
             "sampled": sampled_nodes(plan),
             "candidates": sum(node.role == "candidate" for node in task.mission.site.nodes),
@@ -182,8 +232,6 @@ def planner_fingerprint() -> str:
 class Results:
     """Rows in a file of JSON lines, appended as they come, so that a run can be stopped and resumed.
 
-    A last line cut short by a kill is dropped: its task is done again.
-
     Raises
     ------
     InputError
@@ -191,17 +239,8 @@ class Results:
     """
 
     def __init__(self, path: Path) -> None:
-        self.path = path
-        self.rows: dict[str, Row] = {}
-        try:
-            content = path.read_bytes() if path.exists() else b""
-        except OSError as fault:
-            raise InputError(str(path), None, "", fault.strerror or str(fault)) from None
-        self._whole = content.rfind(b"\n") + 1
-        self._torn = self._whole < len(content)
-        for number, line in enumerate(content[: self._whole].splitlines(), 1):
-            row = _parsed(line, path, number)
-            self.rows[row.key] = row
+        self._lines = JsonLines(path, Row)
+        self.rows = {row.key: row for row in self._lines.read()}
 
     def find(self, task: Task) -> Row | None:
         """Return what is known of a task; what failed is not known once the planner's code has changed."""
@@ -217,24 +256,8 @@ class Results:
         InputError
             When the file cannot be written.
         """
-        try:
-            self.path.parent.mkdir(parents=True, exist_ok=True)
-            if self._torn:
-                os.truncate(self.path, self._whole)
-                self._torn = False
-            with self.path.open("a", encoding="utf-8") as stream:
-                stream.write(row.model_dump_json() + "\n")
-        except OSError as fault:
-            raise InputError(str(self.path), None, "", f"cannot be written: {fault.strerror}") from None
+        self._lines.append(row)
         self.rows[row.key] = row
-
-
-def _parsed(line: bytes, path: Path, number: int) -> Row:
-    try:
-        return Row.model_validate_json(line)
-    except ValidationError:
-        problem = "not a result of this benchmark; name another file, or remove this one"
-        raise InputError(str(path), number, "", problem) from None
 
 
 def _gap(incumbent: float | None, bound: float | None) -> float | None:

@@ -7,6 +7,7 @@ import multiprocessing
 import os
 import resource
 import signal
+import threading
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -45,6 +46,7 @@ class Worker:
         self._process: multiprocessing.process.BaseProcess | None = None
         self._pipe: Connection | None = None
         self._peak_mib = 0.0
+        self._warm: set[tuple[str, bool]] = set()
 
     def __enter__(self) -> Worker:
         return self
@@ -57,13 +59,20 @@ class Worker:
     def fresh(self, task: Task) -> Row:
         """Run a task in a new process, after a tiny one of its kind that loads and compiles all code."""
         self.close()
-        warm_up = replace(task, mission=build(Specification(robots=2, candidates=2), 30.0), state=None)
-        cold = self._ask(warm_up, _WARM_UP_PATIENCE_S)
-        if cold.status in {"crashed", "killed", "out of memory"}:
-            return unfinished(task, cold.status, f"on the tiny mission before it: {cold.reason}", 0.0)
-        row = self.run(task)
+        row = self.warmed(task)
         self.close()
         return row
+
+    def warmed(self, task: Task) -> Row:
+        """Run a task in the present process, after a tiny one of its kind if there has been none."""
+        kind = task.method, task.handoffs
+        if self._process is None or kind not in self._warm:
+            warm_up = replace(task, mission=build(Specification(robots=2, candidates=2), 30.0), state=None)
+            cold = self._ask(warm_up, _WARM_UP_PATIENCE_S)
+            if cold.status in {"crashed", "killed", "out of memory"}:
+                return unfinished(task, cold.status, f"on the tiny mission before it: {cold.reason}", 0.0)
+            self._warm.add(kind)
+        return self.run(task)
 
     def run(self, task: Task) -> Row:
         """Run a task in the present process, or in a new one if there is none."""
@@ -81,6 +90,7 @@ class Worker:
         if self._pipe is not None:
             self._pipe.close()
         self._process = self._pipe = None
+        self._warm.clear()
 
     def _ask(self, task: Task, patience_s: float) -> Row:
         """Have a task run; the clock of ``patience_s`` begins when the child is ready for it."""
@@ -133,6 +143,7 @@ class Worker:
 def _serve(pipe: Connection, run: Runner) -> None:
     """Answer tasks until the parent is gone."""
     os.setsid()  # its own group: it can be ended with all it starts, and Ctrl-C reaches the parent alone
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     pipe.send(None)
     while True:
         try:
@@ -141,6 +152,14 @@ def _serve(pipe: Connection, run: Runner) -> None:
             return
         row = run(task)
         pipe.send(row.model_copy(update={"peak_mib": _peak_mib()}))
+
+
+def _end_with_parent() -> None:
+    """End this process and what it started as soon as its parent is gone, in the middle of a plan too."""
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+    parent.join()
+    os.killpg(0, signal.SIGKILL)
 
 
 def _peak_mib() -> float:
