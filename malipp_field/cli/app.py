@@ -1,4 +1,4 @@
-"""The `malipp` command: plan, verify, export, sim, run, review.
+"""The `malipp` command: plan, verify, export, sim, run, review, bench.
 
 A fault the user can mend is one line on stderr and exit status 2. `plan` and `run` exit with 3 when the
 mission is proven infeasible and with 4 when a limit came before the first plan, `run` with 5 when not every
@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from malipp_field import __version__
+from malipp_field.cli.bench import bench
 from malipp_field.errors import InputError, MalippError, PlanError
 
 if TYPE_CHECKING:
@@ -265,6 +266,9 @@ def review(
     typer.echo(f"review: {target}")
     if open_viewer:
         os.execv(sys.executable, [sys.executable, "-m", "rerun", str(target)])
+
+
+app.command(short_help="Run the paper's experiments: tables, figures, a page.")(bench)
 
 
 def _mission(path: Path) -> Mission:
