@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from malipp_field.documents import suggest, whole_file
 from malipp_field.errors import MalippError
 
 if TYPE_CHECKING:
@@ -103,6 +102,8 @@ def _studies(names: Sequence[str], *, reduced: bool) -> list[Study]:
     known = REDUCED if reduced else STUDIES
     for name in names:
         if name not in known:
+            from malipp_field.documents import suggest
+
             hint = suggest(name, list(known)) or f"; there are {', '.join(known)}"
             raise MalippError(f"--study {name}: no such study{hint}")
     return [known[name] for name in dict.fromkeys(names or known)]
@@ -129,6 +130,8 @@ def _run(studies: Sequence[Study], terms: Terms, farm: Farm[Piece], out: Path, p
             if drawn:
                 figures[cases.study.name] = Path(drawn[0].name)
         command = shlex.join(["malipp", *sys.argv[1:]])
+        from malipp_field.documents import whole_file
+
         with whole_file(page) as partial:
             partial.write_text(report(found, command, campaign.faults, figures), encoding="utf-8")
     failed = any(row.status in FAILED for cases in found for row in cases.rows.values())
