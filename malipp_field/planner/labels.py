@@ -421,10 +421,13 @@ def price_labels(actor, gain, must, exact_load, least, room, enough):  # type: i
     worths = np.zeros(room)
     n_found = 0
     limit = actor.budget * (1.0 + 1e-9) + 1e-12
-    lightens = actor.most_drop.max() > 0 or actor.depot[1:].any()  # may drop or unload on its way
+    # loops, since loading what uses NumPy's own reductions imports all of scipy.linalg
+    lightens = False  # whether it may drop or unload on its way
     best_gain = np.zeros(P)
     for v in range(P):
-        best_gain[v] = max(0.0, gain[v].max())
+        lightens = lightens or actor.most_drop[v] > 0 or (v > 0 and actor.depot[v])
+        for code in range(gain.shape[1]):
+            best_gain[v] = max(best_gain[v], gain[v, code])
     worth_of_i = np.inf
     count = 0
     i = -1
