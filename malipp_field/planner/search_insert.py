@@ -11,7 +11,7 @@ import numpy as np
 
 from malipp_field.planner.draft import COLLECTED, ON_BOARD, STOCK
 from malipp_field.planner.search_compile import compiled
-from malipp_field.planner.search_routes import count, derive, insert_stop, learn, order, uniform
+from malipp_field.planner.search_routes import copy_of, count, derive, insert_stop, learn, order, uniform
 from malipp_field.planner.search_state import FIRST_HOP, HOPS, KIND, NODE, PILE, ROBOT, Case, Scratch, State
 
 W_ROBOT, W_NODE, W_AT, W_DROPS, W_DROP, W_DROP_AT, W_BY, W_BY_AT, W_NEXT, W_LAST, W_LAST_AT = range(11)
@@ -27,11 +27,10 @@ def find_costs(case: Case, state: State, scratch: Scratch) -> None:
     """
     robots, n = case.place.shape
     for o in range(robots):
-        for w in range(n):
-            if scratch.changed[o]:
-                scratch.fetch[o, w] = _cheapest_fetch(case, state, scratch, o, w)
-            scratch.onward[o, w] = scratch.fetch[o, w]
-        scratch.changed[o] = False
+        if scratch.changed[o]:
+            _tabulate(case, state, scratch, o)
+            scratch.changed[o] = False
+        copy_of(scratch.onward[o], scratch.fetch[o])
     _find_least(case, scratch)
     if scratch.relays[0]:
         for o in range(robots):
@@ -42,17 +41,62 @@ def find_costs(case: Case, state: State, scratch: Scratch) -> None:
 
 
 @compiled
+def _tabulate(case: Case, state: State, scratch: Scratch, o: int) -> None:
+    """Find what it costs robot o at least to stop at each node, and to fetch one sample there."""
+    detour, fetch, last = scratch.detour[o], scratch.fetch[o], state.length[o] - 1
+    for w in range(len(fetch)):
+        detour[w], fetch[w] = np.inf, np.inf
+    for k in range(1, last + 1):
+        _pass_between(case, state, o, k, detour, fetch)
+    for k in range(last):
+        v = state.route[o, k]
+        detour[v], fetch[v] = 0.0, np.inf
+        if state.peak[o, k] < case.capacity[o]:
+            fetch[v] = case.sample_mass_kg * (state.cum[o, state.unload[o, k]] - state.cum[o, k])
+    left_j = case.budget_j[o] - state.energy_j[o]
+    for w in range(len(fetch)):
+        possible = case.place[o, w]
+        detour[w] = detour[w] * scratch.weight[o] if possible and detour[w] <= left_j else np.inf
+        fetch[w] = fetch[w] * scratch.weight[o] if possible and fetch[w] <= left_j else np.inf
+
+
+@compiled
+def _pass_between(
+    case: Case, state: State, o: int, k: int, detour: np.ndarray, fetch: np.ndarray
+) -> None:
+    """Lower what stopping and fetching cost, in joules, where a new stop k is cheaper."""
+    before, after = state.route[o, k - 1], state.route[o, k]
+    there, onward = case.cost[o, before], case.back[o, after]
+    if k == state.length[o] - 1:
+        onward = case.home[o]
+    sample_kg, leg = case.sample_mass_kg, there[after]
+    mass_kg = case.mass_kg[o] + sample_kg * state.depart[o, k - 1]
+    rest = state.cum[o, state.unload[o, k - 1]] - state.cum[o, k]
+    room, no_depots = state.peak[o, k - 1] < case.capacity[o], not _may_unload(state, o, k)
+    for w in range(len(fetch)):
+        energy_j = (there[w] + onward[w] - leg) * mass_kg
+        if not energy_j < np.inf or (no_depots and case.depot[o, w]):
+            continue
+        detour[w] = min(detour[w], energy_j)
+        if room:
+            fetch[w] = min(fetch[w], energy_j + sample_kg * (onward[w] + rest))
+
+
+@compiled
 def _find_least(case: Case, scratch: Scratch) -> None:
     robots, n = case.place.shape
     for r in range(robots):
+        least = scratch.least[r]
+        for w in range(n):
+            least[w] = np.inf
+        for o in range(robots):
+            handoff, onward = case.handoff[r, o], scratch.onward[o]
+            for w in range(n):
+                if handoff[w] and onward[w] < least[w]:
+                    least[w] = onward[w]
         scratch.lowest[r] = np.inf
         for w in range(n):
-            least = np.inf
-            for o in range(robots):
-                if case.handoff[r, o, w]:
-                    least = min(least, scratch.onward[o, w])
-            scratch.least[r, w] = least
-            scratch.lowest[r] = min(scratch.lowest[r], least)
+            scratch.lowest[r] = min(scratch.lowest[r], least[w])
 
 
 @compiled
@@ -83,10 +127,15 @@ def _detour_j(case: Case, state: State, r: int, i: int, v: int) -> float:
 @compiled
 def _may_pass(case: Case, state: State, r: int, i: int, v: int) -> bool:
     """Tell whether v may be new stop i: what is unloaded at a depot must not have to be dropped later."""
-    if case.depot[r, v]:
-        for k in range(i, state.unload[r, i - 1]):
-            if state.give[r, state.route[r, k]] > 0:
-                return False
+    return not case.depot[r, v] or _may_unload(state, r, i)
+
+
+@compiled
+def _may_unload(state: State, r: int, i: int) -> bool:
+    """Tell whether nothing on board before stop i is to be dropped before it is unloaded anyhow."""
+    for k in range(i, state.unload[r, i - 1]):
+        if state.give[r, state.route[r, k]] > 0:
+            return False
     return True
 
 
@@ -106,15 +155,6 @@ def _fetch_cost(case: Case, state: State, scratch: Scratch, o: int, k: int, w: i
     if state.energy_j[o] + energy_j <= case.budget_j[o]:
         return float(energy_j * scratch.weight[o])
     return np.inf
-
-
-@compiled
-def _cheapest_fetch(case: Case, state: State, scratch: Scratch, o: int, w: int) -> float:
-    least = np.inf
-    first, last = _places(case, state, o, w)
-    for k in range(first, last + 1):
-        least = min(least, _fetch_cost(case, state, scratch, o, k, w))
-    return least
 
 
 @compiled

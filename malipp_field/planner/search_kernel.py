@@ -113,7 +113,8 @@ def _find_next(case: Case, state: State, scratch: Scratch, power: float) -> bool
         if gain <= 0.0:
             continue
         limit = np.inf if best == 0.0 else (gain / best) ** (1.0 / power) - _SMALL_COST
-        if limit <= 0.0:
+        least = min(scratch.fetch[r, v], scratch.detour[r, v] + scratch.lowest[r])
+        if least >= limit:
             continue
         cost = find_way(case, state, scratch, r, v, limit)
         if cost < limit:

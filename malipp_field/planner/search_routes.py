@@ -295,20 +295,19 @@ def tidy(case: Case, state: State, r: int) -> None:
 @compiled
 def learn(case: Case, state: State, v: int, precision: float) -> None:
     """Change J and the covariances by more precision at candidate v, or less: an update of rank one."""
+    c_vv, c_vt, weights = state.c_vv, state.c_vt, case.weights  # by name, so that loops become vector code
     fall = 0.0
-    for t in range(len(case.weights)):
-        fall += case.weights[t] * state.c_vt[v, t] ** 2
-    gain = precision / (1.0 + precision * max(state.c_vv[v, v], 0.0))
+    for t in range(len(weights)):
+        fall += weights[t] * c_vt[v, t] ** 2
+    gain = precision / (1.0 + precision * max(c_vv[v, v], 0.0))
     state.value[0] -= gain * fall
-    row_v, row_t = np.empty(len(state.c_vv)), np.empty(len(case.weights))
-    copy_of(row_v, state.c_vv[v])
-    copy_of(row_t, state.c_vt[v])
+    row_v, row_t = c_vv[v].copy(), c_vt[v].copy()
     for u in range(len(row_v)):
         share = gain * row_v[u]
         for w in range(len(row_v)):
-            state.c_vv[u, w] -= share * row_v[w]
+            c_vv[u, w] -= share * row_v[w]
         for t in range(len(row_t)):
-            state.c_vt[u, t] -= share * row_t[t]
+            c_vt[u, t] -= share * row_t[t]
 
 
 @compiled
@@ -328,8 +327,9 @@ def learn_all(case: Case, state: State) -> None:
 @compiled
 def find_falls(case: Case, state: State) -> None:
     """Find -dJ/dp at every candidate (eq:generic_llse2)."""
-    for v in range(len(state.fall)):
+    c_vt, weights = state.c_vt, case.weights
+    for v in range(len(c_vt)):
         fall = 0.0
-        for t in range(len(case.weights)):
-            fall += case.weights[t] * state.c_vt[v, t] ** 2
+        for t in range(len(weights)):
+            fall += weights[t] * c_vt[v, t] ** 2
         state.fall[v] = fall

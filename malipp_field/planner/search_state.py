@@ -32,6 +32,8 @@ class Case(NamedTuple):
     ----------
     cost : array, shape (R, N, N)
         alpha_uv in J/kg, infinity where there is no way.
+    back : array, shape (R, N, N)
+        The same with from and to exchanged: alpha_uv at (r, v, u).
     home, terminal : array, shape (R, N)
         Cheapest way from a last stop to a depot (never the stop itself), and that depot.
     home_at_once, terminal_at_once : array, shape (R,)
@@ -53,6 +55,7 @@ class Case(NamedTuple):
     """
 
     cost: FloatArray
+    back: FloatArray
     home: FloatArray
     terminal: IntArray
     home_at_once: FloatArray
@@ -144,8 +147,10 @@ class Scratch(NamedTuple):
         What counts against bringing a sample home oneself: several samples can then change hands at once.
     fetch : array, shape (R, N)
         Least cost for a robot to fetch one sample at a node and bring it to its next unloading stop.
+    detour : array, shape (R, N)
+        Least cost for a robot to stop at a node.
     onward : array, shape (R, N)
-        The same with one more drop on the way allowed.
+        The same as ``fetch`` with one more drop on the way allowed.
     least : array, shape (R, N); lowest : array, shape (R,)
         Least ``onward`` cost of a partner for what a robot leaves at a node, and anywhere: bounds that prune.
     changed : array, shape (R,)
@@ -173,6 +178,7 @@ class Scratch(NamedTuple):
     weight: FloatArray
     shy: FloatArray
     fetch: FloatArray
+    detour: FloatArray
     onward: FloatArray
     least: FloatArray
     lowest: FloatArray
@@ -201,6 +207,7 @@ def case_of(problem: Problem) -> Case:
     place = _mask([robot.places for robot in robots], n)
     return Case(
         cost=np.array([robot.closure.energy_per_kg for robot in robots]),
+        back=np.array([robot.closure.energy_per_kg.T for robot in robots]),
         home=np.array([[cost for cost, _ in row] for row in ways_home]),
         terminal=np.array([[depot for _, depot in row] for row in ways_home], dtype=np.int64),
         home_at_once=np.array([cost for cost, _ in at_once]),
@@ -252,7 +259,7 @@ def scratch_for(case: Case, samples: int, seed: int) -> Scratch:
     robots, n = case.place.shape
     return Scratch(
         weight=np.ones(robots), shy=np.zeros(robots), fetch=np.zeros((robots, n)),
-        onward=np.zeros((robots, n)), least=np.zeros((robots, n)), lowest=np.zeros(robots),
+        detour=np.zeros((robots, n)), onward=np.zeros((robots, n)), least=np.zeros((robots, n)), lowest=np.zeros(robots),
         changed=np.ones(robots, dtype=np.bool_), gain=np.zeros((robots, n)), hub=np.ones(n, dtype=np.bool_),
         way=np.zeros(11, dtype=np.int64), best=np.zeros(11, dtype=np.int64),
         sample=np.zeros(4, dtype=np.int64),
