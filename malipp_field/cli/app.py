@@ -50,6 +50,7 @@ class Method(StrEnum):
     MIQP = "miqp"
     ARCS = "arcs"
     LNS = "lns"
+    FAST = "fast"
 
 
 class Format(StrEnum):
@@ -95,9 +96,10 @@ def plan(
         Method | None,
         typer.Option(
             help="How to plan; the mission file's where not given. exact proves its plan, no-handoffs the "
-            "same without drops, seq plans robot by robot and lns is the paper's search over pairs of robots "
-            "(both prove nothing), miqp solves the paper's model to the letter, arcs an arc model by outer "
-            "approximation; auto chooses."
+            "same without drops; fast finds good plans in seconds, for teams of any size, and bounds them; "
+            "auto is exact for small teams, else fast. seq plans robot by robot, lns is the paper's search "
+            "over pairs of robots (both prove nothing), miqp solves the paper's model to the letter, arcs an "
+            "arc model by outer approximation."
         ),
     ] = None,
     handoffs: Annotated[
@@ -113,15 +115,15 @@ def plan(
         int | None, typer.Option(min=0, help="Seed of every random choice, of all methods.")
     ] = None,
     threads: Annotated[
-        int | None, typer.Option(min=1, help="Threads of all methods; all cores where not given.")
+        int | None, typer.Option(min=1, help="Cores for fast and auto; all of them where not given.")
     ] = None,
     work: Annotated[
         int | None,
         typer.Option(
             min=1,
             metavar="N",
-            help="Stop after so many rounds of the exact engine (pairs of lns): unlike a time limit, the "
-            "same plan on every machine (miqp knows no rounds and passes over it).",
+            help="Stop after so many rounds of the exact engine and of fast (pairs of lns): unlike a time "
+            "limit, the same plan on every machine (miqp knows no rounds and passes over it).",
         ),
     ] = None,
     explain: Annotated[
@@ -279,8 +281,11 @@ def _mission(path: Path) -> Mission:
 
 def _solve(mission: Mission, options: dict[str, Any]) -> Plan:
     from malipp_field.cli.display import ProgressLine
-    from malipp_field.planner import solve
+    from malipp_field.planner import method_for, solve
 
+    if (options.get("method") or mission.planner.method) == "auto":
+        chosen, why = method_for(mission)
+        typer.echo(f"planned by {chosen}: {why}", err=True)
     with ProgressLine("planning") as line:
         return solve(mission, **options, on_progress=line.planning)
 

@@ -15,7 +15,7 @@ from malipp_field.documents import StrictModel
 Identifier = Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]*$", max_length=64)]
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
-Method = Literal["auto", "exact", "no-handoffs", "seq", "miqp", "arcs", "lns"]
+Method = Literal["auto", "exact", "no-handoffs", "seq", "miqp", "arcs", "lns", "fast"]
 
 
 class Origin(StrictModel):

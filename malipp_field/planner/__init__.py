@@ -1,7 +1,8 @@
-"""Planning: exact plans, Seq-LIPP, the no-handoff ablation, bounds, and the verifier of all plans."""
+"""Planning: exact and fast plans, the paper's baselines, bounds, and the verifier of all plans."""
 
+from malipp_field.planner.choice import method_for
 from malipp_field.planner.progress import Progress
 from malipp_field.planner.solve import solve
 from malipp_field.planner.verify import Violation, check, verify
 
-__all__ = ["Progress", "Violation", "check", "solve", "verify"]
+__all__ = ["Progress", "Violation", "check", "method_for", "solve", "verify"]

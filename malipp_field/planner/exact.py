@@ -12,7 +12,7 @@ from malipp_field.planner.progress import Result, Search
 from malipp_field.planner.schedules import MOST_PLACES
 from malipp_field.planner.stages import arc_stages
 from malipp_field.planner.thrift import last_stages
-from malipp_field.planner.tree import ColumnStage
+from malipp_field.planner.tree import WALKS, ColumnStage
 
 _LAST_STAGES = 0.15
 """Share of the time limit that is kept for energy and makespan."""
@@ -24,6 +24,8 @@ def solve_exact(
     start: TeamPlan | None = None,
     *,
     over: Literal["schedules", "arcs"] = "schedules",
+    walks: int = WALKS,
+    arcs: bool = True,
 ) -> Result:
     """Return the lexicographic optimum of a problem, or the best plan and bound found in time.
 
@@ -34,14 +36,23 @@ def solve_exact(
     over
         What is searched over: whole schedules (`tree`) or single arcs (`arcs`; always where a
         robot has more than `MOST_PLACES`).
+    walks
+        Walks of ruin and recreate that accompany the search over schedules.
+    arcs
+        Whether energy and makespan are searched over arcs where schedules do not settle them.
     """
     whole = over == "schedules" and all(len(robot.places) <= MOST_PLACES for robot in problem.robots)
-    stage = ColumnStage if whole else InformationStage
-    result = stage(problem, search.share(1.0 - _LAST_STAGES), start).run()
+    first = search.share(1.0 - _LAST_STAGES)
+    if whole:
+        result = ColumnStage(problem, first, start, walks).run()
+    else:
+        result = InformationStage(problem, first, start).run()
     if result.team is None:
         return result
-    finish = last_stages if whole else arc_stages
-    soonest, proven = finish(problem, search, result.team)
+    if whole:
+        soonest, proven = last_stages(problem, search, result.team, arcs=arcs)
+    else:
+        soonest, proven = arc_stages(problem, search, result.team)
     search.tell("makespan", soonest, result.bound, 0)
     return replace(result, team=soonest, proven=result.proven and proven)
 

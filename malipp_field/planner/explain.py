@@ -91,6 +91,7 @@ def settings(plan: Plan) -> dict[str, Any]:
         "seq": {"method": "seq"},
         "arcs": {"method": "arcs"},
         "lns": {"method": "lns"},
+        "fast": {"method": "fast"},
     }
     return methods.get(plan.method, {"method": "exact"})
 

@@ -71,11 +71,6 @@ class Improver:
             self._take()
         return self._known if self._known is not None and self._known.rank < team.rank else team
 
-    @property
-    def rate(self) -> float:
-        """Iterations a second, lately; 0 before the first."""
-        return self._rate
-
     def construct(self) -> TeamPlan | None:
         """Return a plan in which all robots and what must come home do come home; None if none is found.
 

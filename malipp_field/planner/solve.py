@@ -13,6 +13,7 @@ from malipp_field.mission import Mission, TeamState
 from malipp_field.mission.schema import Method
 from malipp_field.plan import Plan
 from malipp_field.plan.schema import Status
+from malipp_field.planner.choice import method_for
 from malipp_field.planner.extract import TeamPlan, Verdict, plan_file, routes_of, team_plan
 from malipp_field.planner.feasibility import obstacle
 from malipp_field.planner.linear import Effort
@@ -24,7 +25,9 @@ Engine = Callable[[Problem, Search, TeamPlan | None], Result]
 _RELAXATION_S = 10.0
 """Most seconds for the bound of a plan whose method has none."""
 _SEQUENTIAL_SHARE = 0.1
-"""Of the time limit, for the Seq-LIPP plan the exact search begins with."""
+"""Of the time limit, for the Seq-LIPP plan that the others begin with."""
+_SEQUENTIAL_FROM_S = 20.0
+"""With less time it is left out: ruin and recreate soon beats it."""
 
 
 @dataclass(frozen=True)
@@ -66,12 +69,15 @@ def solve(
     state
         Where the team stands; the beginning of the mission where it is None.
     method
-        "exact" proves its plan; "no-handoffs" is the same without drops; "seq" is Seq-LIPP; "auto" is "exact"
-        begun with Seq-LIPP; "lns" is the paper's search over pairs of robots. "miqp" is the paper's model to
-        the letter, "arcs" the outer approximation over the arc model: slower proofs of the same optimum.
+        "exact" proves its plan; "no-handoffs" is the same without drops; "fast" finds good plans in seconds,
+        on every core, and bounds them in what time is left; "auto" is one of these (`method_for`). "seq" is
+        Seq-LIPP, "lns" the paper's search over pairs of robots; "miqp" is the paper's model to the letter,
+        "arcs" the outer approximation over the arc model: slower proofs of the same optimum.
+    threads
+        Cores for "fast" and the beginning of "auto"; all there are where it is None.
     work_limit
-        Most rounds of the exact engine, or pairs of "lns"; a search that ends by it gives the same plan on
-        every machine.
+        Most rounds of the exact engine and of ruin and recreate, or pairs of "lns"; a search that ends by it
+        gives the same plan on every machine with as many cores.
     closed
         Ids of nodes at which nobody may hand over.
     warm_start
@@ -157,7 +163,7 @@ def _relaxed(request: Request) -> float:
 
 def _exact(request: Request, problem: Problem, start: TeamPlan | None) -> Plan:
     search = request.search
-    if start is None and request.method == "auto":
+    if start is None and request.method in {"auto", "fast"} and search.effort.left_s >= _SEQUENTIAL_FROM_S:
         start = _one_by_one(problem, search.share(_SEQUENTIAL_SHARE))
     result = _run(request.engine, problem, search, start)
     if result.infeasible:
@@ -200,9 +206,12 @@ def _engine(method: Method) -> Engine:
 
         return solve_literal
     from malipp_field.planner.exact import solve_arcs, solve_exact
+    from malipp_field.planner.fast import solve_auto, solve_fast
     from malipp_field.planner.lns import solve_lns
 
-    engines: dict[str, Engine] = {"arcs": solve_arcs, "lns": solve_lns}
+    engines: dict[str, Engine] = {
+        "arcs": solve_arcs, "auto": solve_auto, "fast": solve_fast, "lns": solve_lns
+    }  # fmt: skip
     return engines.get(method, solve_exact)
 
 
@@ -234,8 +243,10 @@ def _verdict(request: Request, status: Status, bound: float | None, gap: float |
 
 
 def _method_used(request: Request) -> str:
-    if request.method in {"seq", "miqp", "arcs", "lns"}:
+    if request.method in {"seq", "miqp", "arcs", "lns", "fast"}:
         return request.method
+    if request.method == "auto" and method_for(request.mission)[0] == "fast":
+        return "fast"
     return "exact" if request.handoffs else "no-handoffs"
 
 

@@ -30,22 +30,27 @@ _MOST_CHOICES = 40
 """Choices of least energy that are looked at for the makespan; with more the arc model takes over."""
 
 
-def last_stages(problem: Problem, search: Search, best: TeamPlan) -> tuple[TeamPlan, bool]:
+def last_stages(
+    problem: Problem, search: Search, best: TeamPlan, *, arcs: bool = True
+) -> tuple[TeamPlan, bool]:
     """Return the plan of least energy with the same precision, and of these the soonest; and whether proven.
 
-    The result is never worse than ``best``.
+    The result is never worse than ``best``. Without ``arcs`` what cannot be settled over schedules is left as
+    it is: for a large team the arc model takes seconds to be built alone.
     """
     energy_search = search.share(_ENERGY_SHARE)
     economy = _priced(problem, energy_search.share(_LISTING_SHARE), best)
     cheapest, energy_proven = best, False
     if economy is not None:
         cheapest, energy_proven = _cheapest(economy, energy_search, best)
-    if not energy_proven:
+    if not energy_proven and arcs:
         cheapest, energy_proven = least_energy(problem, energy_search, cheapest)
     elif economy is not None:
         cheapest, time_proven = _soonest(economy, search.share(_ENERGY_SHARE), cheapest)
         if time_proven:
             return cheapest, True
+    if not arcs:
+        return cheapest, False
     soonest, time_proven = least_makespan(problem, search, cheapest)
     return soonest, energy_proven and time_proven
 

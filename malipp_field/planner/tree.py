@@ -43,7 +43,7 @@ _SLOW, _PATIENCE = 0.01, 3
 """Cutting ends after so many rounds in a row that closed less than this share of the gap."""
 _RETRY = 0.8
 """A robot with too many schedules to list is asked again when the gap has become so much smaller."""
-_WALKS = 3
+WALKS = 3
 """Independent walks of ruin and recreate: one alone may stay in a plan that only a long way leads out of."""
 _FIRST_IMPROVEMENTS = 100
 _IMPROVEMENTS = 4
@@ -63,12 +63,14 @@ class _Open:
 class ColumnStage:
     """The first stage, minimise J, by branch and price."""
 
-    def __init__(self, problem: Problem, search: Search, start: TeamPlan | None) -> None:
+    def __init__(
+        self, problem: Problem, search: Search, start: TeamPlan | None, walks: int = WALKS
+    ) -> None:
         self.problem, self.search = problem, search
         self.best = start
         self.bound = 0.0
         self.rounds = 0
-        self._improvers = [Improver(problem, search.seed + k) for k in range(_WALKS)]
+        self._improvers = [Improver(problem, search.seed + k) for k in range(walks)]
         self._robots = robots_of(problem)
         self._numbers = itertools.count()
         self._open: list[_Open] = []
@@ -150,7 +152,7 @@ class ColumnStage:
             if robot.pool is not None and not len(robot.pool.codes):
                 return Result(None, np.inf, proven=True, infeasible=True)
         self.master = Master(self.problem, self._robots)
-        if self.best is None:
+        if self.best is None and self._improvers:
             self.best = self._improvers[0].construct()
         begin = self.best
         for improver in self._improvers:
@@ -336,7 +338,7 @@ class ColumnStage:
 
     def _improve(self) -> None:
         """Go on with one of the walks of ruin and recreate."""
-        if self.best is not None:
+        if self.best is not None and self._improvers:
             before = self.best
             improver = self._improvers[self.rounds % len(self._improvers)]
             self.best = improver.improve(before, self._iterations(_IMPROVEMENTS), self.search.effort)

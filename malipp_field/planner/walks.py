@@ -7,6 +7,7 @@ round begins when the last of them has ended: what is found does not depend on w
 from __future__ import annotations
 
 import os
+import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 
@@ -21,6 +22,8 @@ _LONGER = 2.0
 """How much longer every round is than the one before: a slower cooling ends in better plans."""
 _LAST = 1.5
 """A round that would leave less time than this share of its own after it takes all the time that is left."""
+_SHORTEST_ROUND = 200
+"""Iterations of a round at the very end."""
 
 
 def cores() -> int:
@@ -40,17 +43,15 @@ class Walks:
 
     def rounds(self, start: TeamPlan, effort: Effort) -> Iterator[TeamPlan]:
         """Yield the best plan after every round, for as long as the effort lasts."""
-        best, length = start, _FIRST_ROUND
+        best, length, rate = start, _FIRST_ROUND, 0.0
         with ThreadPoolExecutor(len(self._improvers)) as pool:
             while not effort.over:
-                length = self._fitting(length, effort)
+                left = rate * effort.left_s
+                if 0.0 < left < (1.0 + _LAST) * length:
+                    length = max(_SHORTEST_ROUND, int(left))
+                begun = time.monotonic()
                 found = pool.map(lambda walk: walk.cool(best, length, effort), self._improvers)  # noqa: B023
                 best = min([best, *found], key=lambda plan: plan.rank)
                 yield best
+                rate = length / max(time.monotonic() - begun, 1e-6)
                 length = int(_LONGER * length)
-
-    def _fitting(self, length: int, effort: Effort) -> int:
-        """Return the length of the next round: a cooling that is cut short is wasted."""
-        rate = min(walk.rate for walk in self._improvers)
-        left = rate * effort.left_s
-        return int(left) if 0 < left < (1.0 + _LAST) * length else length
