@@ -18,7 +18,7 @@ Unless asked otherwise every plan has one thread, so that as many plans as cores
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
@@ -95,17 +95,20 @@ class Study:
     def changed(
         self,
         instances: int | None = None,
-        time_limit_s: float | None = None,
+        limits_s: Mapping[str | None, float] | None = None,
         test_points: TestPoints = "random",
     ) -> Study:
         """Return the study with another number of instances of each kind, or other limits or test points.
 
-        The limit is that of every method but Seq-LIPP, which is the same measure for all of them.
+        Limits are by method; that of None is of every method that has none but Seq-LIPP, which is the same
+        measure for all of them.
         """
+        limits_s = limits_s or {}
         arms = tuple(
-            arm if time_limit_s is None or arm.label == SEQ else replace(arm, time_limit_s=time_limit_s)
+            replace(arm, time_limit_s=limits_s.get(arm.method, arm.time_limit_s if arm.label == SEQ else
+                                                   limits_s.get(None, arm.time_limit_s)))
             for arm in self.arms
-        )
+        )  # fmt: skip
         cells = tuple(replace(cell, test_points=test_points) for cell in self.cells)
         return replace(self, instances=instances or self.instances, arms=arms, cells=cells)
 
@@ -131,7 +134,7 @@ def _joint(sizes: Iterable[int], instances: int, limit_s: float) -> Study:
         _sizes(((robots, 3 * robots) for robots in sizes), base_candidates=6), instances, "tuned",
         (
             _seq(),
-            Arm("no handoffs", "no-handoffs", limit_s, handoffs=False),
+            Arm("no handoffs", "auto", limit_s, handoffs=False),
             Arm("full", "auto", limit_s),
         ),
     )  # fmt: skip

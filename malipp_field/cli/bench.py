@@ -9,7 +9,7 @@ import sys
 from collections.abc import Sequence
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, get_args
 
 import typer
 
@@ -47,8 +47,12 @@ def bench(
         int | None, typer.Option(min=1, metavar="N", help="Instances of each kind; the study's if not given.")
     ] = None,
     time_limit: Annotated[
-        float | None,
-        typer.Option("--time-limit", min=0.001, metavar="S", help="Seconds for each plan, Seq-LIPP's apart."),
+        list[str] | None,
+        typer.Option(
+            "--time-limit",
+            metavar="[METHOD=]S",
+            help="Seconds for each plan, Seq-LIPP's apart, or for those of one method; may be given again.",
+        ),
     ] = None,
     test_points: Annotated[
         TestPoints, typer.Option(help="Where prediction errors count; gains differ by a factor of about two.")
@@ -85,7 +89,8 @@ def bench(
     from malipp_field.bench.labour import Terms
 
     known = _studies(study or [], reduced=reduced)
-    studies = [one.changed(instances, time_limit, test_points.value) for one in known]
+    limits_s = dict(map(_limit, time_limit or []))
+    studies = [one.changed(instances, limits_s, test_points.value) for one in known]
     terms = Terms(threads=threads, memory_limit_mib=memory_limit)
     farm: Farm[Piece] = Farm(scheduler, jobs or max(1, (os.cpu_count() or 1) // threads))
     target = page or out / "scale.md"
@@ -93,6 +98,20 @@ def bench(
     typer.echo(f"bench: {target}")
     if not well:
         raise typer.Exit(1)
+
+
+def _limit(text: str) -> tuple[str | None, float]:
+    """Return the method, or None for all, and the seconds of a time limit."""
+    from malipp_field.mission.schema import Method
+
+    method, given, seconds = text.rpartition("=")
+    try:
+        limit_s = float(seconds)
+    except ValueError:
+        limit_s = 0.0
+    if not 0.0 < limit_s < float("inf") or (given and method not in get_args(Method)):
+        raise MalippError(f"--time-limit {text}: wanted seconds above 0, or METHOD=seconds, as in lns=120")
+    return method or None, limit_s
 
 
 def _studies(names: Sequence[str], *, reduced: bool) -> list[Study]:

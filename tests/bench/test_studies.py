@@ -35,7 +35,7 @@ def test_the_joint_study_is_the_paper_s() -> None:
     study = STUDIES["joint"]
     assert cells(study) == {(2, 6), (4, 12), (6, 18)}
     assert study.instances == 100
-    assert [arm.method for arm in study.arms] == ["seq", "no-handoffs", "auto"]
+    assert [arm.method for arm in study.arms] == ["seq", "auto", "auto"]
     assert {cell.noise_ratio for cell in study.cells} == {20.0}
     areas = [cell.side_m**2 / cell.robots for cell in study.cells]
     assert areas == pytest.approx([50.0] * 3)  # the workspace grows with the team
@@ -66,8 +66,13 @@ def test_the_other_studies() -> None:
 
 
 def test_a_study_is_changed_but_for_seq_lipp_s_limit() -> None:
-    changed = STUDIES["joint"].changed(instances=2, time_limit_s=3.0, test_points="candidates")
-    assert [arm.time_limit_s for arm in changed.arms] == [1200.0, 3.0, 3.0]
+    changed = STUDIES["joint"].changed(
+        instances=2, limits_s={None: 3.0, "auto": 2.0}, test_points="candidates"
+    )
+    assert [arm.time_limit_s for arm in changed.arms] == [1200.0, 2.0, 2.0]
+    limited = STUDIES["optimality"].changed(limits_s={None: 7.0, "exact": 60.0})
+    assert {arm.method: arm.time_limit_s for arm in limited.arms} == {"exact": 60.0, "fast": 7.0, "lns": 7.0}
+    assert STUDIES["scalability"].changed(limits_s={"seq": 9.0}).arms[0].time_limit_s == 9.0
     assert [(spec.robots, spec.seed) for spec in changed.specifications] == [
         (2, 0), (4, 0), (6, 0), (2, 1), (4, 1), (6, 1)
     ]  # fmt: skip
@@ -147,10 +152,10 @@ def test_a_row_tells_what_was_known_when() -> None:
 
 def rows_of(study: Study, figures: Mapping[str, Any]) -> dict[tuple[Specification, str], Row]:
     """Return a row for every plan of a study; J differs a little from seed to seed."""
-    values = {"seq": 10.0, "no-handoffs": 9.0, "lns": 8.5}
+    values = {"Seq-LIPP": 10.0, "no handoffs": 9.0, "LNS": 8.5}
     return {
         (spec, arm.label): bench_cases.planned(
-            bench_cases.task_here(spec, arm), values.get(arm.method, 8.0) - 0.1 * spec.seed, **figures
+            bench_cases.task_here(spec, arm), values.get(arm.label, 8.0) - 0.1 * spec.seed, **figures
         )
         for spec in study.specifications
         for arm in study.arms
