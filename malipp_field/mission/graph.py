@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from shapely.geometry import LineString, Polygon
 from shapely.ops import unary_union
@@ -15,8 +15,7 @@ from malipp_field.mission.schema import Mission
 Position = tuple[float, float]
 
 
-@dataclass(frozen=True)
-class Passage:
+class Passage(NamedTuple):
     """One edge in the direction in which one robot may drive it."""
 
     tail: str
@@ -67,11 +66,9 @@ def passages(mission: Mission, robot_id: str) -> list[Passage]:
         given.update(directions)
         if robot_id in edge.closed_to:
             continue
+        dearer, faster = edge.energy_factor.get(robot_id, 1.0), edge.speed_factor.get(robot_id, 1.0)
         for tail, head in directions:
-            add(
-                tail, head, length_m,
-                edge.energy_factor.get(robot_id, 1.0), edge.speed_factor.get(robot_id, 1.0),
-            )  # fmt: skip
+            add(tail, head, length_m, dearer, faster)
     if mission.site.complete:
         blocked = unary_union(list(keep_out_polygons(mission).values()))
         for tail, head in itertools.permutations(places, 2):
