@@ -1,6 +1,7 @@
 """The plan file: what a plan says, and reading and writing it."""
 
 from malipp_field.plan.files import parse_plan, plan_text, read_plan, write_plan
+from malipp_field.plan.progress import advance, rest_of, stops_done
 from malipp_field.plan.schema import Bound, Objective, Plan, RobotPlan, Stop
 
 __all__ = [
@@ -9,8 +10,11 @@ __all__ = [
     "Plan",
     "RobotPlan",
     "Stop",
+    "advance",
     "parse_plan",
     "plan_text",
     "read_plan",
+    "rest_of",
+    "stops_done",
     "write_plan",
 ]

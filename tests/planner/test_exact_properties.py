@@ -24,13 +24,11 @@ from missions_strategy import (
     posterior,
     robot_records,
     samples_of,
-    state_within,
-    stops_done,
 )
 
 from malipp_field.mission import Mission, TeamState, initial_state
 from malipp_field.mission.schema import Method
-from malipp_field.plan import Plan
+from malipp_field.plan import Plan, advance, stops_done
 from malipp_field.planner import Progress, solve, verify
 from malipp_field.planner.relaxation import relaxation_bound
 
@@ -366,7 +364,7 @@ def test_the_rest_of_an_optimal_plan_is_optimal(mission: Mission, handoffs: bool
     if plan.objective is None:
         return
     time_s = share * plan.objective.makespan_s
-    rest = planned(Case(mission, state_within(mission, plan, time_s), handoffs))
+    rest = planned(Case(mission, advance(mission, plan, time_s), handoffs))
     assert information(rest) <= information(plan) * _MARGIN
     if information(rest) < information(plan) / _MARGIN:
         assert somebody_comes_back(plan, time_s, rest)
@@ -380,6 +378,6 @@ def test_without_mass_the_rest_is_as_good_exactly(mission: Mission, share: float
     plan = planned(Case(mission))
     if plan.objective is None:
         return
-    state = state_within(mission, plan, share * plan.objective.makespan_s)
+    state = advance(mission, plan, share * plan.objective.makespan_s)
     rest = planned(Case(mission, state))
     assert information(rest) == pytest.approx(information(plan), rel=4 * _GAP)
