@@ -14,7 +14,7 @@ from malipp_field.mission.schema import Method
 from malipp_field.plan import Plan
 from malipp_field.plan.schema import Status
 from malipp_field.planner.choice import method_for
-from malipp_field.planner.extract import TeamPlan, Verdict, plan_file, routes_of, team_plan
+from malipp_field.planner.extract import TeamPlan, Verdict, plan_file, team_plan
 from malipp_field.planner.feasibility import obstacle
 from malipp_field.planner.linear import Effort
 from malipp_field.planner.problem import Problem, build_problem, in_units
@@ -82,7 +82,7 @@ def solve(
         Ids of nodes at which nobody may hand over.
     warm_start
         Routes and operations to begin with (times and energies are worked out anew): the result is never
-        worse, if they keep the rules from this state on; else they are ignored.
+        worse, if they keep the rules from this state on; else it begins with what still stands of them.
     version
         Number of the plan among those of the mission.
     on_progress, cancelled
@@ -136,10 +136,10 @@ def _solve(request: Request) -> Plan:
     reason = obstacle(problem, depots)
     if reason:
         return _no_routes(request, "infeasible", reason)
-    warm = _warm(request, problem)
     if request.method == "seq":
         return _sequential(request, problem)
-    return _exact(request, problem, warm)
+    first = _warm(request, problem)
+    return _impossible(request) if first.infeasible else _exact(request, problem, first.team)
 
 
 def _sequential(request: Request, problem: Problem) -> Plan:
@@ -167,12 +167,7 @@ def _exact(request: Request, problem: Problem, start: TeamPlan | None) -> Plan:
         start = _one_by_one(problem, search.share(_SEQUENTIAL_SHARE))
     result = _run(request.engine, problem, search, start)
     if result.infeasible:
-        from malipp_field.planner.shortage import shortage
-
-        reason = shortage(
-            request.mission, request.state, search, handoffs=request.handoffs, closed=request.closed
-        )
-        return _no_routes(request, "infeasible", reason)
+        return _impossible(request)
     if result.team is None:
         return _no_routes(request, "no_plan", "the limit came before a first plan")
     bound = _relaxed(request) if request.method == "lns" else result.bound
@@ -180,6 +175,15 @@ def _exact(request: Request, problem: Problem, start: TeamPlan | None) -> Plan:
     status: Status = "optimal" if result.proven else "feasible"
     bound = min(bound, result.team.information)
     return plan_file(request.mission.name, problem, result.team, _verdict(request, status, bound, gap))
+
+
+def _impossible(request: Request) -> Plan:
+    from malipp_field.planner.shortage import shortage
+
+    reason = shortage(
+        request.mission, request.state, request.search, handoffs=request.handoffs, closed=request.closed
+    )
+    return _no_routes(request, "infeasible", reason)
 
 
 def _one_by_one(problem: Problem, search: Search) -> TeamPlan | None:
@@ -215,19 +219,13 @@ def _engine(method: Method) -> Engine:
     return engines.get(method, solve_exact)
 
 
-def _warm(request: Request, problem: Problem) -> TeamPlan | None:
-    """Return the routes of the warm start, scheduled and costed anew, if they keep every rule."""
-    advice = request.warm_start
-    if advice is None or _drops(advice) & request.closed or (_drops(advice) and not request.handoffs):
-        return None
-    try:
-        team = team_plan(problem, routes_of(problem, advice))
-    except KeyError:  # a robot or node that this mission does not have
-        return None
-    if team is None:
-        return None
-    plan = plan_file(request.mission.name, problem, team, _verdict(request, "feasible", None, None))
-    return None if verify(request.mission, plan, request.state) else team
+def _warm(request: Request, problem: Problem) -> Result:
+    """Return a plan as good as the warm start, or what can be made of it; without one the engine begins."""
+    if request.warm_start is None:
+        return Result(None, 0.0, proven=False)
+    from malipp_field.planner.repair import first_plan
+
+    return first_plan(problem, request.warm_start, request.search)
 
 
 def _verdict(request: Request, status: Status, bound: float | None, gap: float | None) -> Verdict:
