@@ -28,6 +28,7 @@ _SEQUENTIAL_SHARE = 0.1
 """Of the time limit, for the Seq-LIPP plan that the others begin with."""
 _SEQUENTIAL_FROM_S = 20.0
 """With less time it is left out: ruin and recreate soon beats it."""
+_NO_FIRST_PLAN = "the limit came before a first plan"
 
 
 @dataclass(frozen=True)
@@ -139,7 +140,11 @@ def _solve(request: Request) -> Plan:
     if request.method == "seq":
         return _sequential(request, problem)
     first = _warm(request, problem)
-    return _impossible(request) if first.infeasible else _exact(request, problem, first.team)
+    if first.infeasible:
+        return _impossible(request)
+    if first.team is None and request.search.effort.over:
+        return _no_routes(request, "no_plan", _NO_FIRST_PLAN)
+    return _exact(request, problem, first.team)
 
 
 def _sequential(request: Request, problem: Problem) -> Plan:
@@ -169,7 +174,7 @@ def _exact(request: Request, problem: Problem, start: TeamPlan | None) -> Plan:
     if result.infeasible:
         return _impossible(request)
     if result.team is None:
-        return _no_routes(request, "no_plan", "the limit came before a first plan")
+        return _no_routes(request, "no_plan", _NO_FIRST_PLAN)
     bound = _relaxed(request) if request.method == "lns" else result.bound
     gap = relative_gap(result.team.information, bound)
     status: Status = "optimal" if result.proven else "feasible"

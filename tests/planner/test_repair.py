@@ -191,7 +191,7 @@ def test_the_result_is_never_worse_than_the_plan_in_force(seed: int) -> None:
 
 def test_stock_whose_carrier_is_lost_is_fetched_by_another() -> None:
     mission, _ = in_a_row((99.0, 99.0))
-    home = {"node": "home", "energy_left_j": 30.0}
+    home: dict[str, Any] = {"node": "home", "energy_left_j": 30.0}
     lying = Cache(node="near", sender="scout", count=2, available_s=5.0)
     begin = TeamState(robots=(RobotState(id="scout", **home), RobotState(id="mule", **home)), caches=(lying,))
     old = solve(mission, state=begin, method="exact")
@@ -209,7 +209,7 @@ def test_stock_whose_carrier_is_lost_is_fetched_by_another() -> None:
 
 def test_a_drop_that_is_not_there_is_not_fetched() -> None:
     mission, _ = in_a_row((99.0, 99.0))
-    home = {"node": "home", "energy_left_j": 30.0}
+    home: dict[str, Any] = {"node": "home", "energy_left_j": 30.0}
     robots = (RobotState(id="scout", **home), RobotState(id="mule", **home))
     lying = Cache(node="near", sender="scout", count=2)
     old = solve(mission, state=TeamState(robots=robots, caches=(lying,)), method="exact")
