@@ -100,7 +100,8 @@ class _Play:
         robot, view = self.robots[r], self.problem.robots[r]
         node, stop = robot.nodes[robot.done], robot.stops[robot.done]
         if stop is not None:
-            robot.held += [Sample(COLLECTED, node, r)] * min(stop.collect, int(view.limits[node]))
+            most = min(int(view.limits[node]), view.capacity)
+            robot.held += [Sample(COLLECTED, node, r)] * min(stop.collect, most)
             self._drop(r, node, stop)
         if node in view.depots:
             self.home += robot.held

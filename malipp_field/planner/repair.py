@@ -7,9 +7,8 @@ samples not yet taken may be left out. The order of the attempts is that of thei
 1. the plan as it is, followed stop by stop as far as the new state allows (`followed`);
 2. robots that overdraw a budget or a capacity leave out what they can best do without, and samples without a
    way home are put in anew by the compiled search (`Kernel.begin`), where that fails with ever less of the
-   old plan left;
-3. direct routes with only what must come home (`Improver.construct`);
-4. the arc model with nobody sampling, first without handoffs: a plan, or the proof that there is none.
+   old plan left, down to direct routes with only what must come home;
+3. the arc model with nobody sampling, first without handoffs: a plan, or the proof that there is none.
 """
 
 from __future__ import annotations
@@ -51,8 +50,10 @@ def first_plan(problem: Problem, advice: Plan | None, search: Search) -> Result:
     Result
         Without a plan where the time was too short to find one, or ``infeasible`` by proof.
     """
-    team = None if advice is None else repaired(problem, advice, search.seed)
-    team = team or Improver(problem, search.seed).construct()
+    if advice is None:
+        team = Improver(problem, search.seed).construct()
+    else:
+        team = repaired(problem, advice, search.seed)
     if team is not None:
         return Result(team, 0.0, proven=False)
     return _settled(problem, search)
@@ -181,7 +182,7 @@ def _to_be_brought(samples: list[Sample]) -> list[Sample]:
 
 def _settled(problem: Problem, search: Search) -> Result:
     """Return a plan in which nobody samples, or the proof that there is none."""
-    for asked in (replace(problem, handoffs=False), problem):
+    for asked in (replace(problem, handoffs=False), problem) if problem.handoffs else (problem,):
         team, impossible = plan_of_precision(asked, search, problem.gained)
         if team is not None:
             return Result(team, 0.0, proven=False)

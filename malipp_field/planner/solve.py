@@ -139,7 +139,16 @@ def _solve(request: Request) -> Plan:
         return _no_routes(request, "infeasible", reason)
     if request.method == "seq":
         return _sequential(request, problem)
-    first = _warm(request, problem)
+    if request.warm_start is None:
+        return _exact(request, problem, None)
+    return _replan(request, problem, request.warm_start)
+
+
+def _replan(request: Request, problem: Problem, advice: Plan) -> Plan:
+    """Plan from a plan as good as the warm start on, or from what can be made of it."""
+    from malipp_field.planner.repair import first_plan
+
+    first = first_plan(problem, advice, request.search)
     if first.infeasible:
         return _impossible(request)
     if first.team is None and request.search.effort.over:
@@ -222,15 +231,6 @@ def _engine(method: Method) -> Engine:
         "arcs": solve_arcs, "auto": solve_auto, "fast": solve_fast, "lns": solve_lns
     }  # fmt: skip
     return engines.get(method, solve_exact)
-
-
-def _warm(request: Request, problem: Problem) -> Result:
-    """Return a plan as good as the warm start, or what can be made of it; without one the engine begins."""
-    if request.warm_start is None:
-        return Result(None, 0.0, proven=False)
-    from malipp_field.planner.repair import first_plan
-
-    return first_plan(problem, request.warm_start, request.search)
 
 
 def _verdict(request: Request, status: Status, bound: float | None, gap: float | None) -> Verdict:
