@@ -150,7 +150,7 @@ def _hash(codes, mask, v, q):  # type: ignore[no-untyped-def]
     return h
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def enumerate_labels(actor, gain, least, room):  # type: ignore[no-untyped-def]
     """List every partial schedule that some schedule of value ``least`` or more begins with.
 
@@ -253,7 +253,7 @@ def enumerate_labels(actor, gain, least, room):  # type: ignore[no-untyped-def]
     return count, codes, mask, place, load, energy, parent
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def complete_schedules(actor, count, codes, mask, place, load, energy):  # type: ignore[no-untyped-def]
     """Return the cheapest label, and its energy, of every set of operations that the budget allows."""
     P = codes.shape[1]
@@ -293,7 +293,7 @@ def complete_schedules(actor, count, codes, mask, place, load, energy):  # type:
     return label[:n], least[:n]
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def without_dominated(codes, K, limits, most_pick):  # type: ignore[no-untyped-def]
     """Tell which schedules no other one beats by one sample taken or one unit of exchange more.
 
@@ -379,7 +379,7 @@ def _pop(keys, items, size):  # type: ignore[no-untyped-def]
     return top
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def price_labels(actor, gain, must, exact_load, least, room, enough):  # type: ignore[no-untyped-def]
     """Find schedules worth more than ``least`` by labelling with dominance, the most promising labels first.
 
@@ -550,7 +550,7 @@ def price_labels(actor, gain, must, exact_load, least, room, enough):  # type: i
             return worth_of_i, found[:n_found], worths[:n_found], code_of, place, parent
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def scan(codes, K, gain, firsts, seconds, pair_gain, least, values):  # type: ignore[no-untyped-def]
     """Write the value of every schedule of a pool into ``values``; below ``least`` only a bound on it.
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import heapq
 import itertools
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,6 +26,7 @@ from malipp_field.planner.progress import Result, Search, relative_gap
 from malipp_field.planner.realise import realise
 from malipp_field.planner.schedules import Codes, Pairs, robots_of
 from malipp_field.planner.stages import plan_of_precision
+from malipp_field.planner.walks import cores
 
 _NOTHING = -1e300
 """Less than any schedule is worth."""
@@ -72,6 +74,8 @@ class ColumnStage:
         self.rounds = 0
         self._improvers = [Improver(problem, search.seed + k) for k in range(walks)]
         self._robots = robots_of(problem)
+        self._cores = ThreadPoolExecutor(search.threads or cores())
+        """What prices robots side by side; the compiled labelling lets go of Python's lock."""
         self._numbers = itertools.count()
         self._open: list[_Open] = []
         self._lagrangian = 0.0
@@ -146,6 +150,10 @@ class ColumnStage:
 
     def run(self) -> Result:
         """Search until the gap is closed or the effort is used up."""
+        with self._cores:
+            return self._run()
+
+    def _run(self) -> Result:
         everything = [np.zeros((len(robot.places), robot.width)) for robot in self._robots]
         for robot, gain in zip(self._robots, everything, strict=True):
             robot.list_all(gain, _NOTHING)
@@ -396,26 +404,30 @@ class ColumnStage:
 
     def _price(self, branch: Branch, point: Point) -> tuple[float, bool]:
         """Add schedules that lower the master's objective; return a bound on J and whether any were added."""
-        bound, added, total = point.value, False, 0.0
+        added, total = False, 0.0
+        team = range(len(self._robots))
         # listed schedules are priced at once: first what they give
-        todo = sorted(range(len(self._robots)), key=lambda r: self._robots[r].pool is None)
-        priced = [r for r in todo if self._robots[r].pool is None]
-        for r in todo:
-            robot = self._robots[r]
-            if added and priced and r == priced[0]:
+        for group in ([r for r in team if self._robots[r].pool], [r for r in team if not self._robots[r].pool]):
+            if added and group:
                 return 0.0, True
-            gain = np.where(branch.forbidden[r], -np.inf, self.master.gains(point.dual, r))
-            least = self.master.least_value(point.dual, r)
-            most, found = robot.price(
-                gain,
-                self.master.pair_gains(point.dual, r),
-                least + _REDUCED_COST,
-                exact_load=r in branch.exact_load,
-            )
-            total += max(0.0, most - least)
-            for codes in found:
-                added |= self.master.add(r, codes)
-        return bound - total, added and total > _REDUCED_COST
+            priced = self._cores.map(lambda r: self._priced(branch, point, r), group)
+            for r, (excess, found) in zip(group, priced, strict=True):
+                total += excess
+                for codes in found:
+                    added |= self.master.add(r, codes)
+        return point.value - total, added and total > _REDUCED_COST
+
+    def _priced(self, branch: Branch, point: Point, r: int) -> tuple[float, list[Codes]]:
+        """Return by how much a schedule of robot r can lower the objective at most, and some that do."""
+        gain = np.where(branch.forbidden[r], -np.inf, self.master.gains(point.dual, r))
+        least = self.master.least_value(point.dual, r)
+        most, found = self._robots[r].price(
+            gain,
+            self.master.pair_gains(point.dual, r),
+            least + _REDUCED_COST,
+            exact_load=r in branch.exact_load,
+        )
+        return max(0.0, most - least), found
 
     def _parts(self, point: Point) -> dict[int, list[tuple[float, Codes]]]:
         """Return the schedules in use and their shares, by robot."""
