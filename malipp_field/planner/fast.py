@@ -11,6 +11,7 @@ from malipp_field.planner.exact import solve_exact
 from malipp_field.planner.extract import TeamPlan
 from malipp_field.planner.problem import Problem
 from malipp_field.planner.progress import Result, Search
+from malipp_field.planner.repair import first_plan
 from malipp_field.planner.schedules import MOST_PLACES
 from malipp_field.planner.thrift import last_stages
 from malipp_field.planner.walks import Walks, cores
@@ -49,9 +50,12 @@ def solve_auto(problem: Problem, search: Search, start: TeamPlan | None = None) 
 def _search_then_prove(
     problem: Problem, search: Search, start: TeamPlan | None, first: Search
 ) -> Result:
+    if start is None:
+        found = first_plan(problem, None, search)
+        if found.team is None:
+            return found
+        start = found.team
     best = _walked(problem, first, start)
-    if best is None:
-        return solve_exact(problem, search)
     small = is_small(len(problem.robots), len(problem.candidates))
     listable = all(len(robot.places) <= MOST_PLACES for robot in problem.robots)
     if listable and (small or search.effort.left_s >= _LEAST_PROOF_S):
@@ -61,12 +65,9 @@ def _search_then_prove(
     return Result(best, 0.0, proven=False)
 
 
-def _walked(problem: Problem, search: Search, start: TeamPlan | None) -> TeamPlan | None:
-    """Return the best plan of all walks; None where not even a first one is found."""
+def _walked(problem: Problem, search: Search, best: TeamPlan) -> TeamPlan:
+    """Return the best plan of all walks, begun with one."""
     walks = Walks(problem, search.seed, search.threads or cores())
-    best = start or walks.construct()
-    if best is None:
-        return None
     search.tell("first plan", best, None, 0)
     for count, best in enumerate(walks.rounds(best, search.effort), 1):
         search.tell("ruin and recreate", best, None, count)

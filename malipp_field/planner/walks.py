@@ -37,10 +37,6 @@ class Walks:
     def __init__(self, problem: Problem, seed: int, many: int) -> None:
         self._improvers = [Improver(problem, seed + k) for k in range(many)]
 
-    def construct(self) -> TeamPlan | None:
-        """Return a plan to begin with, or None where none is found."""
-        return self._improvers[0].construct()
-
     def rounds(self, start: TeamPlan, effort: Effort) -> Iterator[TeamPlan]:
         """Yield the best plan after every round, for as long as the effort lasts."""
         best, length, rate = start, _FIRST_ROUND, 0.0

@@ -251,7 +251,7 @@ def test_each_fault_has_its_line_key_and_hint(
 @pytest.mark.parametrize(
     ("old", "new", "line", "words"),
     [
-        ("team:", "planner: {method: magic}\nteam:", 24, "'no-handoffs', 'seq', 'miqp' or 'arcs'"),
+        ("team:", "planner: {method: magic}\nteam:", 24, "'no-handoffs', 'seq', 'miqp', 'arcs'"),
         ("team:", "planner: {energy_reserve: 1.0}\nteam:", 24, "less than 1"),
         ("team:", "planner: {seed: -1}\nteam:", 24, "greater than or equal to 0"),
         ("team:", "replanning: {slip_s: 0}\nteam:", 24, "greater than 0"),

@@ -10,6 +10,7 @@ from malipp_field.bench.instances import Specification, build
 from malipp_field.mission import Mission
 from malipp_field.plan import Plan
 from malipp_field.planner import Progress, method_for, solve, verify
+from malipp_field.planner.repair import first_plan
 from malipp_field.planner.walks import Walks
 
 
@@ -59,7 +60,7 @@ def test_walks_do_not_hang_on_which_core_is_quicker() -> None:
     found = []
     for seed in (3, 3, 4):
         walks = Walks(problem, seed, 2)
-        start = walks.construct()
+        start = first_plan(problem, None, search()).team
         assert start is not None
         rounds = walks.rounds(start, search(limit_s=120.0).effort)
         found.append([next(rounds).routes, next(rounds).routes])
@@ -110,7 +111,7 @@ def test_cancelled_at_once_there_is_still_a_plan() -> None:
 def test_more_walks_are_never_worse_than_the_first_of_them_alone() -> None:
     problem, _ = scaled(team(5, 14))
     one, three = Walks(problem, 0, 1), Walks(problem, 0, 3)
-    start = one.construct()
+    start = first_plan(problem, None, search()).team
     assert start is not None
     effort = search(limit_s=120.0).effort
     assert next(three.rounds(start, effort)).rank <= next(one.rounds(start, effort)).rank
