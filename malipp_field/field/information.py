@@ -43,7 +43,13 @@ class Information:
 
     def value(self, precision: FloatArray) -> float:
         """Return J(p) (`eq:generic_llse2`) for p of shape (V,), p >= 0."""
-        return self.value_and_gradient(precision)[0]
+        p = np.asarray(precision, dtype=np.float64)
+        sampled = np.flatnonzero(p > 0.0)  # the others add nothing, and there are many of them
+        root = np.sqrt(p[sampled])
+        b = np.eye(root.size) + root[:, None] * self.k_vv[np.ix_(sampled, sampled)] * root[None, :]
+        scaled = self.k_tv[:, sampled] * root
+        gain = np.linalg.solve(b, scaled.T).T
+        return float(self.weights @ (self.k_tt - np.einsum("tv,tv->t", gain, scaled)))
 
     def value_and_gradient(self, precision: FloatArray) -> tuple[float, FloatArray]:
         """Return J(p) and dJ/dp, shape (V,).

@@ -1,7 +1,7 @@
 """The mission file: what it may say, how it is read, and the site graph and frame that follow from it."""
 
 from malipp_field.mission.geo import ABSTRACT_ORIGIN, locate, to_globe, to_local
-from malipp_field.mission.graph import Passage, keep_out_polygons, node_positions, passages
+from malipp_field.mission.graph import Passage, drives_alike, keep_out_polygons, node_positions, passages
 from malipp_field.mission.load import parse_mission, read_mission
 from malipp_field.mission.schema import Mission, Robot
 from malipp_field.mission.state import Cache, RobotState, TeamState, initial_state
@@ -19,6 +19,7 @@ __all__ = [
     "locate",
     "node_positions",
     "parse_mission",
+    "drives_alike",
     "passages",
     "read_mission",
     "to_globe",

@@ -40,6 +40,20 @@ def keep_out_polygons(mission: Mission) -> dict[str, Polygon]:
     }
 
 
+def drives_alike(mission: Mission) -> list[tuple[str, ...]]:
+    """Return the ids of the robots in groups whose `passages` are the same, each in the order of the team."""
+    named: dict[str, list[tuple[int, bool, float, float]]] = {}
+    for i, edge in enumerate(mission.site.edges):
+        for robot_id in {*edge.closed_to, *edge.energy_factor, *edge.speed_factor}:
+            factors = edge.energy_factor.get(robot_id, 1.0), edge.speed_factor.get(robot_id, 1.0)
+            named.setdefault(robot_id, []).append((i, robot_id in edge.closed_to, *factors))
+    groups: dict[tuple[object, ...], list[str]] = {}
+    for robot in mission.team.robots:
+        key = robot.energy_per_kg_m, robot.speed_m_s, *named.get(robot.id, [])
+        groups.setdefault(key, []).append(robot.id)
+    return [tuple(group) for group in groups.values()]
+
+
 def passages(mission: Mission, robot_id: str) -> list[Passage]:
     """Return every directed edge that ``robot_id`` may drive.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Collection
 from dataclasses import dataclass, replace
 
@@ -9,7 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from malipp_field.field import FloatArray, Information, candidate_ids, information_model
-from malipp_field.mission import Mission, Robot, RobotState, TeamState, initial_state, passages
+from malipp_field.mission import (
+    Mission,
+    Robot,
+    RobotState,
+    TeamState,
+    drives_alike,
+    initial_state,
+    passages,
+)
 from malipp_field.planner.closure import Closure, closure
 
 IntArray = NDArray[np.int64]
@@ -158,11 +167,13 @@ def build_problem(
     index = {node: i for i, node in enumerate(nodes)}
     stocks = tuple(Stock(index[c.node], c.sender, c.count, c.available_s) for c in state.caches)
     candidates = candidate_ids(mission)
+    closures = _closures(mission, state, index, stocks)
     problem = Problem(
         nodes=nodes,
         candidates=tuple(index[node] for node in candidates),
         robots=tuple(
-            _view(mission, robot, state.robot(robot.id), index, stocks) for robot in mission.team.robots
+            _view(mission, robot, state.robot(robot.id), index, stocks, closures[robot.id])
+            for robot in mission.team.robots
         ),
         stocks=stocks,
         information=information_model(mission),
@@ -187,26 +198,48 @@ def prune(problem: Problem) -> Problem:
     Closures are metric, so a stop without a collection, an unloading, a pick or a drop only costs energy.
     """
     stocked = {stock.node for stock in problem.stocks if stock.count}
+    visitors = Counter(v for robot in problem.robots if robot.capacity > 0 for v in robot.places)
     robots = []
-    for r, robot in enumerate(problem.robots):
-        others = [o for i, o in enumerate(problem.robots) if i != r and o.capacity > 0]
-        shared = {v for o in others for v in o.places} if problem.handoffs and robot.capacity > 0 else set()
-        shared -= problem.closed
+    for robot in problem.robots:
+        hands_over = problem.handoffs and robot.capacity > 0
         useful = tuple(
             v for v in robot.stops
-            if robot.limits[v] > 0 or v in robot.depots or v in shared or v in stocked
+            if robot.limits[v] > 0 or v in robot.depots or v in stocked
+            or (hands_over and visitors[v] > 1 and v not in problem.closed)
         )  # fmt: skip
         robots.append(replace(robot, stops=useful))
     return replace(problem, robots=tuple(robots))
 
 
+def _closures(
+    mission: Mission, state: TeamState, index: dict[str, int], stocks: tuple[Stock, ...]
+) -> dict[str, Closure]:
+    """Return the closure of every robot; robots that drive alike have it in common."""
+    routing = _routing(mission, index, stocks)
+    found: dict[str, Closure] = {}
+    for group in drives_alike(mission):
+        terminals = sorted(routing | {index[state.robot(robot_id).node] for robot_id in group})
+        shared = closure(passages(mission, group[0]), list(index), terminals)
+        found |= dict.fromkeys(group, shared)
+    return found
+
+
+def _routing(mission: Mission, index: dict[str, int], stocks: tuple[Stock, ...]) -> set[int]:
+    """Return the nodes at which robots may operate, wherever they start."""
+    roles = {"candidate", "depot"}
+    return {index[node.id] for node in mission.site.nodes if node.role in roles} | {s.node for s in stocks}
+
+
 def _view(
-    mission: Mission, robot: Robot, state: RobotState, index: dict[str, int], stocks: tuple[Stock, ...]
+    mission: Mission,
+    robot: Robot,
+    state: RobotState,
+    index: dict[str, int],
+    stocks: tuple[Stock, ...],
+    ways: Closure,
 ) -> RobotView:
     start = index[state.node]
-    roles = {"candidate", "depot"}
-    routing = {index[node.id] for node in mission.site.nodes if node.role in roles}
-    routing |= {stock.node for stock in stocks}
+    routing = _routing(mission, index, stocks)
     limits = np.zeros(len(index), dtype=np.int64)
     for node in candidate_ids(mission):
         limits[index[node]] = max(0, robot.samples_per_node - state.collected.get(node, 0))
@@ -217,7 +250,7 @@ def _view(
         start=start,
         stops=tuple(sorted(routing - {start})),
         depots=tuple(index[depot] for depot in robot.depots),
-        closure=closure(passages(mission, robot.id), list(index), sorted(routing | {start})),
+        closure=ways,
         empty_mass_kg=robot.empty_mass_kg,
         budget_j=state.energy_left_j * (1.0 - mission.planner.energy_reserve),
         capacity=robot.payload_capacity,

@@ -188,11 +188,13 @@ def count(state: State, row: np.ndarray, change: int) -> None:
 
 @compiled
 def count_all(case: Case, state: State) -> None:
-    """Count every sample anew, and J."""
+    """Count every sample anew, beside what is fixed, and J."""
     for r in range(len(state.length)):
-        state.board[r] = 0
+        state.board[r] = case.fixed_board[r]
+        copy_of(state.collect[r], case.fixed_collect[r])
+        copy_of(state.give[r], case.fixed_give[r])
+        copy_of(state.take[r], case.fixed_take[r])
         for v in range(len(case.candidate)):
-            state.collect[r, v], state.give[r, v], state.take[r, v] = 0, 0, 0
             for o in range(len(state.length)):
                 state.pair[o, r, v] = 0
     for s in range(state.size[0]):

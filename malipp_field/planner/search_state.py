@@ -52,6 +52,8 @@ class Case(NamedTuple):
         Covariances given what has been gained already.
     prior
         J given what has been gained already.
+    fixed_board : array, shape (R,); fixed_collect, fixed_give, fixed_take : array, shape (R, N)
+        What the robots do beyond the samples of the search: their part in samples that others handle as well.
     """
 
     cost: FloatArray
@@ -75,6 +77,10 @@ class Case(NamedTuple):
     weights: FloatArray
     prior: float
     sample_mass_kg: float
+    fixed_board: IntArray
+    fixed_collect: IntArray
+    fixed_give: IntArray
+    fixed_take: IntArray
 
 
 class State(NamedTuple):
@@ -227,6 +233,10 @@ def case_of(problem: Problem) -> Case:
         weights=np.asarray(problem.information.weights, dtype=np.float64),
         prior=prior,
         sample_mass_kg=float(problem.sample_mass_kg),
+        fixed_board=np.zeros(len(robots), dtype=np.int64),
+        fixed_collect=np.zeros_like(limits),
+        fixed_give=np.zeros_like(limits),
+        fixed_take=np.zeros_like(limits),
     )
 
 

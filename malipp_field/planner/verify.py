@@ -21,7 +21,7 @@ from malipp_field.mission import Mission, TeamState, initial_state, locate, node
 from malipp_field.plan import Objective, Plan
 from malipp_field.planner.verify_case import TOLERANCE, Case, Violation, above, differs
 from malipp_field.planner.verify_custody import handoff_rules, visit_rules
-from malipp_field.planner.verify_routes import Leg, legs_of, route_energy_j, route_rules
+from malipp_field.planner.verify_routes import Leg, legs_of, roads_of, route_energy_j, route_rules
 
 __all__ = ["Violation", "check", "verify"]
 
@@ -41,7 +41,8 @@ def verify(mission: Mission, plan: Plan, state: TeamState | None = None) -> list
     """
     case = Case(mission, plan, state or initial_state(mission))
     found = [*_status(case), *_entries(case)]
-    legs = [legs_of(case, route) for route in case.routes]
+    roads = roads_of(case) if case.routes else {}
+    legs = [legs_of(roads[route[0].robot.id], route) for route in case.routes]
     for route, its_legs in zip(case.routes, legs, strict=True):
         found += route_rules(case, route, its_legs)
         found += [fault for visit in route for fault in visit_rules(case, visit)]

@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from malipp_field.mission import Passage, passages
+from malipp_field.mission import Passage, drives_alike, passages
 from malipp_field.planner.verify_case import Case, Violation, Visit, above, differs
 
 
@@ -37,12 +37,28 @@ class Leg:
         return self.energy_per_kg * (self.visit.robot.empty_mass_kg + sample_mass_kg * self.visit.load_in)
 
 
-def legs_of(case: Case, route: list[Visit]) -> list[Leg | None]:
-    """Return the legs of a route, one for each stop after the first; None where no path can be driven."""
-    roads = {(p.tail, p.head): p for p in passages(case.mission, route[0].robot.id)}
+@dataclass(frozen=True)
+class Roads:
+    """What a robot can drive, and alpha between any two nodes (rows and columns by ``index``)."""
+
+    passages: dict[tuple[str, str], Passage]
+    index: dict[str, int]
+    least: NDArray[np.float64]
+
+
+def roads_of(case: Case) -> dict[str, Roads]:
+    """Return the roads of every robot; those that drive alike have them in common."""
     index = {node: i for i, node in enumerate(case.roles)}
-    least = _least_energies(roads, index)
-    return [_leg_to(visit, roads, index, least) for visit in route[1:]]
+    found: dict[str, Roads] = {}
+    for group in drives_alike(case.mission):
+        steps = {(p.tail, p.head): p for p in passages(case.mission, group[0])}
+        found |= dict.fromkeys(group, Roads(steps, index, _least_energies(steps, index)))
+    return found
+
+
+def legs_of(roads: Roads, route: list[Visit]) -> list[Leg | None]:
+    """Return the legs of a route, one for each stop after the first; None where no path can be driven."""
+    return [_leg_to(visit, roads) for visit in route[1:]]
 
 
 def _least_energies(roads: dict[tuple[str, str], Passage], index: dict[str, int]) -> NDArray[np.float64]:
@@ -59,23 +75,18 @@ def _least_energies(roads: dict[tuple[str, str], Passage], index: dict[str, int]
     return least
 
 
-def _leg_to(
-    visit: Visit,
-    roads: dict[tuple[str, str], Passage],
-    index: dict[str, int],
-    least: NDArray[np.float64],
-) -> Leg | None:
+def _leg_to(visit: Visit, roads: Roads) -> Leg | None:
     path, before = visit.stop.path, visit.before
     if before is None or not path or (path[0], path[-1]) != (before.node, visit.stop.node):
         return None
     steps = list(pairwise(path))
-    if visit.stop.node not in index or not all(step in roads for step in steps):
+    if visit.stop.node not in roads.index or not all(step in roads.passages for step in steps):
         return None
     return Leg(
         visit=visit,
-        energy_per_kg=sum(roads[step].energy_per_kg for step in steps),
-        least_energy_per_kg=float(least[index[before.node], index[visit.stop.node]]),
-        time_s=sum(roads[step].time_s for step in steps),
+        energy_per_kg=sum(roads.passages[step].energy_per_kg for step in steps),
+        least_energy_per_kg=float(roads.least[roads.index[before.node], roads.index[visit.stop.node]]),
+        time_s=sum(roads.passages[step].time_s for step in steps),
     )
 
 
