@@ -76,7 +76,9 @@ class Focus:
                 groups = self._groups(draft, turn)
                 slices = [cut(draft, group, self._noise) for group in groups]
                 seeds = self._noise.integers(2**63, size=len(slices)).tolist()
-                tasks = [(part, draft, seed, length, effort) for part, seed in zip(slices, seeds, strict=True)]
+                tasks = [
+                    (part, draft, seed, length, effort) for part, seed in zip(slices, seeds, strict=True)
+                ]
                 for part, found in zip(slices, pool.map(lambda task: _searched(*task), tasks), strict=True):
                     trial = None if found is None else part.merged(draft, found)
                     team = None if trial is None else team_plan(self.problem, trial.visits())
@@ -120,10 +122,13 @@ def _distances(draft: Draft) -> FloatArray:
         for route, robot in zip(draft.routes, problem.robots, strict=True)
     ]
     near = np.array(
-        [robot.closure.energy_per_kg[own].min(axis=0) for own, robot in zip(stops, problem.robots, strict=True)]
+        [
+            robot.closure.energy_per_kg[own].min(axis=0)
+            for own, robot in zip(stops, problem.robots, strict=True)
+        ]
     )
-    away = np.array([near[:, own].mean(axis=1) for own in stops])
-    away = np.minimum(away, away.T)
+    there = np.array([near[:, own].mean(axis=1) for own in stops])
+    away: FloatArray = np.minimum(there, there.T)
     for sample in draft.samples:
         together = list(handlers(sample))
         if len(together) > 1:
@@ -158,7 +163,5 @@ def _errands(problem: Problem, nodes: list[int]) -> TeamPlan | None:
     found = Improver(sliced(barren, team, chosen, nothing), 0).construct()
     if found is None:
         return None
-    routes = tuple(
-        tuple(replace(visit, node=nodes[visit.node]) for visit in route) for route in found.routes
-    )
+    routes = tuple(tuple(replace(visit, node=nodes[visit.node]) for visit in route) for route in found.routes)
     return team_plan(problem, routes)

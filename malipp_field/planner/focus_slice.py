@@ -94,10 +94,11 @@ def cut(draft: Draft, team: Sequence[int], noise: np.random.Generator) -> Slice:
     pool = np.argsort(near, kind="stable")[: _POOL * _MOST_NODES]
     pool = pool[np.isfinite(near[pool])]
     places = np.array(sorted({*used, *pool.tolist()}), dtype=np.int64)
-    information = _given(problem.information, precision, np.array([position.get(v, -1) for v in places]))
+    sampled = [v for v in places.tolist() if v in position]
+    positions = np.array([position[v] for v in sampled], dtype=np.int64)
+    information = given(problem.information, precision, positions)
     fall = information.weights @ information.k_tv**2
     score = np.full(len(problem.nodes), -np.inf)
-    sampled = [v for v in places.tolist() if v in position]
     score[sampled] = fall
     score[pool] *= (0.5 + noise.uniform(size=len(pool))) / (_SMALL_DETOUR + near[pool])
     score[list(used)] = np.inf
@@ -159,9 +160,12 @@ def _detours(draft: Draft, team: Iterable[int]) -> FloatArray:
     return found
 
 
-def _given(information: Information, precision: FloatArray, positions: IntArray) -> Information:
-    """Return J as a function of the candidates at ``positions`` (-1: none), given precision gained."""
-    s, u = positions[positions >= 0], np.flatnonzero(precision > 0.0)
+def given(information: Information, precision: FloatArray, s: IntArray) -> Information:
+    """Return J as a function of precision at the candidates ``s`` beyond what has been gained.
+
+    Test points whose covariance with all of them is zero are left out.
+    """
+    u = np.flatnonzero(precision > 0.0)
     root = np.sqrt(precision[u])
     b = np.eye(u.size) + root[:, None] * information.k_vv[np.ix_(u, u)] * root
     known_s = root[:, None] * information.k_vv[np.ix_(u, s)]

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from malipp_field.mission import Mission
+from malipp_field.planner.closure_kernel import cheapest_ways
 from malipp_field.planner.problem import build_problem
 from malipp_field.planner.schedules import robots_of
 from malipp_field.planner.solve import solve
@@ -46,6 +47,8 @@ def main() -> None:
         }
     )
     solve(mission, method="exact", time_limit_s=_LIMIT_S)
+    one, fares = np.zeros(1, dtype=np.int64), np.zeros(0)
+    cheapest_ways(np.zeros(2, dtype=np.int64), one[:0], fares, fares, one, 0.0)  # large sites only
     robot = robots_of(build_problem(mission))[0]  # pricing, which so small a mission does without
     none = np.zeros(0, dtype=np.int64)
     robot.price(
