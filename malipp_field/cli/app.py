@@ -283,11 +283,11 @@ def _solve(mission: Mission, options: dict[str, Any]) -> Plan:
     from malipp_field.cli.display import ProgressLine
     from malipp_field.planner import method_for, solve
 
-    if (options.get("method") or mission.planner.method) == "auto":
-        chosen, why = method_for(mission)
-        typer.echo(f"planned by {chosen}: {why}", err=True)
     with ProgressLine("planning") as line:
-        return solve(mission, **options, on_progress=line.planning)
+        found = solve(mission, **options, on_progress=line.planning)
+    if (options.get("method") or mission.planner.method) == "auto":
+        typer.echo("auto took {}: {}".format(*method_for(mission)), err=True)
+    return found
 
 
 def _solve_until_interrupted(mission: Mission, options: dict[str, Any]) -> Plan:
