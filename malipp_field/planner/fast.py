@@ -1,14 +1,18 @@
 """The fast planner: ruin and recreate on every core first, then as much proof as there is time for.
 
-Most of what can be gained comes within seconds (`walks`). What time is left then goes to the exact search,
+Most of what can be gained comes within seconds (`walks`; `focus` for large teams). What time is left then goes to the exact search,
 begun with the best plan found: it gives the bound, sometimes a better plan, and for small teams a proof.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+from malipp_field.planner.bounds import quick_bound
 from malipp_field.planner.choice import is_small
 from malipp_field.planner.exact import solve_exact
 from malipp_field.planner.extract import TeamPlan
+from malipp_field.planner.focus import Focus
 from malipp_field.planner.problem import Problem
 from malipp_field.planner.progress import Result, Search
 from malipp_field.planner.repair import first_plan
@@ -23,6 +27,10 @@ _FIRST_SHARE, _FIRST_S = 0.05, 2.0
 """The same where it will: no more than this share, and no more than so many seconds."""
 _LEAST_PROOF_S = 5.0
 """With less time than this the exact search of a large team would not get beyond its beginning."""
+_BOUND_SHARE, _LEAST_BOUND_S = 0.1, 1.0
+"""Part of the time for a first bound, which has none where there is less than so many seconds in all."""
+_MOST_TOGETHER = 16
+"""Robots that are searched all together; of larger teams groups of neighbours are, in turn."""
 _LEAST_FINISH_S = 3.0
 """Energy and makespan need lists that cannot be interrupted: they are not begun with less time than this."""
 
@@ -35,42 +43,63 @@ def solve_fast(problem: Problem, search: Search, start: TeamPlan | None = None) 
     start
         A plan to begin with; the result is never worse.
     """
-    enough = _SEARCH_SHARE * search.effort.left_s >= _LEAST_PROOF_S
-    return _search_then_prove(problem, search, start, search.share(_SEARCH_SHARE if enough else _ALL_SHARE))
+    proof_s = (1.0 - _SEARCH_SHARE) * search.effort.left_s
+    share = _SEARCH_SHARE if _listable(problem) and proof_s >= _LEAST_PROOF_S else _ALL_SHARE
+    return _search_then_prove(problem, search, start, share)
 
 
 def solve_auto(problem: Problem, search: Search, start: TeamPlan | None = None) -> Result:
     """Return the proven best plan of a small team, begun with ruin and recreate; of others `solve_fast`."""
     if not is_small(len(problem.robots), len(problem.candidates)):
         return solve_fast(problem, search, start)
-    first = min(_FIRST_SHARE, _FIRST_S / max(search.effort.left_s, _FIRST_S))
-    return _search_then_prove(problem, search, start, search.share(first))
+    share = min(_FIRST_SHARE, _FIRST_S / max(search.effort.left_s, _FIRST_S))
+    return _search_then_prove(problem, search, start, share)
 
 
-def _search_then_prove(
-    problem: Problem, search: Search, start: TeamPlan | None, first: Search
-) -> Result:
+def _search_then_prove(problem: Problem, search: Search, start: TeamPlan | None, share: float) -> Result:
+    searcher = _searcher(problem, search)
     if start is None:
-        found = first_plan(problem, None, search)
+        found = _begun(problem, search, searcher)
         if found.team is None:
             return found
         start = found.team
-    best = _walked(problem, first, start)
+    search.tell("first plan", start, None, 0)
     small = is_small(len(problem.robots), len(problem.candidates))
-    listable = all(len(robot.places) <= MOST_PLACES for robot in problem.robots)
-    if listable and (small or search.effort.left_s >= _LEAST_PROOF_S):
-        return solve_exact(problem, search, best, walks=0, arcs=small)
-    if search.effort.left_s >= _LEAST_FINISH_S:
+    bound = 0.0
+    if not small and search.effort.left_s >= _LEAST_BOUND_S:
+        bound = quick_bound(problem, search.share(_BOUND_SHARE).effort)
+    best = _searched(searcher, search.share(share), start, bound)
+    if small or (_listable(problem) and search.effort.left_s >= _LEAST_PROOF_S):
+        result = solve_exact(problem, search, best, walks=0, arcs=small)
+        return replace(result, bound=max(result.bound, bound))
+    if _listable(problem) and search.effort.left_s >= _LEAST_FINISH_S:
         best, _ = last_stages(problem, search, best, arcs=False)
-    return Result(best, 0.0, proven=False)
+    return Result(best, min(bound, best.information), proven=False)
 
 
-def _walked(problem: Problem, search: Search, best: TeamPlan) -> TeamPlan:
-    """Return the best plan of all walks, begun with one."""
-    walks = Walks(problem, search.seed, search.threads or cores())
-    search.tell("first plan", best, None, 0)
-    for count, best in enumerate(walks.rounds(best, search.effort), 1):
-        search.tell("ruin and recreate", best, None, count)
+def _listable(problem: Problem) -> bool:
+    """Tell whether the exact search could be of use: no robot has too many places, the team is not too large."""
+    few = all(len(robot.places) <= MOST_PLACES for robot in problem.robots)
+    return few and len(problem.robots) <= _MOST_TOGETHER
+
+
+def _searcher(problem: Problem, search: Search) -> Walks | Focus:
+    many = search.threads or cores()
+    if len(problem.robots) <= _MOST_TOGETHER:
+        return Walks(problem, search.seed, many)
+    return Focus(problem, search.seed, many)
+
+
+def _begun(problem: Problem, search: Search, searcher: Walks | Focus) -> Result:
+    """Return a plan to begin with, or the proof that there is none."""
+    team = searcher.construct() if isinstance(searcher, Focus) else None
+    return first_plan(problem, None, search) if team is None else Result(team, 0.0, proven=False)
+
+
+def _searched(searcher: Walks | Focus, search: Search, best: TeamPlan, bound: float) -> TeamPlan:
+    """Return the best plan of all rounds, begun with one."""
+    for count, best in enumerate(searcher.rounds(best, search.effort), 1):
+        search.tell("ruin and recreate", best, bound or None, count)
         if search.work is not None and count >= search.work:
             break
     return best
