@@ -23,7 +23,7 @@ from malipp_field.planner.walks import Walks, cores
 _SEARCH_SHARE, _ALL_SHARE = 0.5, 0.95
 """Part of the time for finding plans, where the exact search will hardly settle the question; and the same
 where there is too little time for a bound."""
-_FIRST_SHARE, _FIRST_S = 0.05, 2.0
+_FIRST_SHARE, _FIRST_S = 0.3, 2.0
 """The same where it will: no more than this share, and no more than so many seconds."""
 _LEAST_PROOF_S = 5.0
 """With less time than this the exact search of a large team would not get beyond its beginning."""
@@ -43,20 +43,6 @@ def solve_fast(problem: Problem, search: Search, start: TeamPlan | None = None) 
     start
         A plan to begin with; the result is never worse.
     """
-    proof_s = (1.0 - _SEARCH_SHARE) * search.effort.left_s
-    share = _SEARCH_SHARE if _listable(problem) and proof_s >= _LEAST_PROOF_S else _ALL_SHARE
-    return _search_then_prove(problem, search, start, share)
-
-
-def solve_auto(problem: Problem, search: Search, start: TeamPlan | None = None) -> Result:
-    """Return the proven best plan of a small team, begun with ruin and recreate; of others `solve_fast`."""
-    if not is_small(len(problem.robots), len(problem.candidates)):
-        return solve_fast(problem, search, start)
-    share = min(_FIRST_SHARE, _FIRST_S / max(search.effort.left_s, _FIRST_S))
-    return _search_then_prove(problem, search, start, share)
-
-
-def _search_then_prove(problem: Problem, search: Search, start: TeamPlan | None, share: float) -> Result:
     searcher = _searcher(problem, search)
     if start is None:
         found = _begun(problem, search, searcher)
@@ -64,17 +50,26 @@ def _search_then_prove(problem: Problem, search: Search, start: TeamPlan | None,
             return found
         start = found.team
     search.tell("first plan", start, None, 0)
-    small = is_small(len(problem.robots), len(problem.candidates))
-    bound = 0.0
+    small, bound = is_small(len(problem.robots), len(problem.candidates)), 0.0
+    share = _share(problem, search, small=small)
     if not small and search.effort.left_s >= _LEAST_BOUND_S:
         bound = quick_bound(problem, search.share(_BOUND_SHARE).effort)
     best = _searched(searcher, search.share(share), start, bound)
     if small or (_listable(problem) and search.effort.left_s >= _LEAST_PROOF_S):
-        result = solve_exact(problem, search, best, walks=0, arcs=small)
+        result = solve_exact(problem, search, best, walks=int(small), arcs=small)
         return replace(result, bound=max(result.bound, bound))
     if _listable(problem) and search.effort.left_s >= _LEAST_FINISH_S:
         best, _ = last_stages(problem, search, best, arcs=False)
     return Result(best, min(bound, best.information), proven=False)
+
+
+def _share(problem: Problem, search: Search, *, small: bool) -> float:
+    """Return the part of the time for finding plans."""
+    left_s = search.effort.left_s
+    if small:
+        return min(_FIRST_SHARE, _FIRST_S / max(left_s, _FIRST_S))
+    proof_s = (1.0 - _SEARCH_SHARE) * left_s
+    return _SEARCH_SHARE if _listable(problem) and proof_s >= _LEAST_PROOF_S else _ALL_SHARE
 
 
 def _listable(problem: Problem) -> bool:

@@ -224,11 +224,11 @@ def _engine(method: Method) -> Engine:
 
         return solve_literal
     from malipp_field.planner.exact import solve_arcs, solve_exact
-    from malipp_field.planner.fast import solve_auto, solve_fast
+    from malipp_field.planner.fast import solve_fast
     from malipp_field.planner.lns import solve_lns
 
     engines: dict[str, Engine] = {
-        "arcs": solve_arcs, "auto": solve_auto, "fast": solve_fast, "lns": solve_lns
+        "arcs": solve_arcs, "auto": solve_fast, "fast": solve_fast, "lns": solve_lns
     }  # fmt: skip
     return engines.get(method, solve_exact)
 
