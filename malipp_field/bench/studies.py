@@ -192,11 +192,11 @@ STUDIES: dict[str, Study] = {
 REDUCED: dict[str, Study] = {
     study.name: study
     for study in (
-        _joint((2, 4, 6), 2, 8.0),
+        _joint((2, 4, 6), 4, 8.0),
         _sweep((1.0, 5.0, 100.0), (0.1, 1.0, 3.0), 2, 4.0),
-        _optimality([(2, 10), (3, 10)], 2, 30.0, 5.0),
-        _scalability([(5, 20)], 2, 20.0, 30.0),
-        _growth((3, 5), 1, 30.0, 15.0),
+        _optimality([(2, 10), (3, 10), (4, 14)], 2, 30.0, 5.0),
+        _scalability([(8, 31), (12, 45)], 1, 30.0, 60.0),
+        _growth((5, 10, 20), 1, 30.0, 15.0),
     )
 }
 """The same in ten minutes on two cores: few instances, short limits."""

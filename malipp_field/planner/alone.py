@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-
 from malipp_field.field import FloatArray
 from malipp_field.planner.extract import TeamPlan
 from malipp_field.planner.labels import complete_schedules, enumerate_labels, without_dominated
@@ -71,9 +70,7 @@ def options_of(problem: Problem) -> Options | None:
     return Options(robot, codes, energy_j, _grouped(robot, codes, problem.candidates))
 
 
-def _grouped(
-    robot: Robot, codes: Codes, candidates: tuple[int, ...]
-) -> list[Group]:
+def _grouped(robot: Robot, codes: Codes, candidates: tuple[int, ...]) -> list[Group]:
     taken = robot.taken_of[codes + robot.capacity]
     position = {v: i for i, v in enumerate(candidates)}
     where = np.array([position.get(v, -1) for v in robot.places], dtype=np.int64)

@@ -107,9 +107,7 @@ class Choices:
 
     def _keep(self, kept: NDArray[np.bool_]) -> None:
         ends = np.cumsum([len(pool.codes) for pool in self.pools])[:-1]
-        self.pools = [
-            pool.only(part) for pool, part in zip(self.pools, np.split(kept, ends), strict=True)
-        ]
+        self.pools = [pool.only(part) for pool, part in zip(self.pools, np.split(kept, ends), strict=True)]
         self._cuts = [(cut[kept], most) for cut, most in self._cuts]
 
     def _separate(self, x: FloatArray) -> int:
@@ -148,7 +146,9 @@ class Choices:
             if lower[i] == upper[i] and (matrix[i] == np.rint(matrix[i])).all() and lower[i] == np.rint(lower[i])
         ]  # fmt: skip
         signed = [i for i in fixed if (matrix[i] < 0.0).any()]
-        return np.concatenate([matrix[fixed], -matrix[signed]]), np.concatenate([lower[fixed], -lower[signed]])
+        return np.concatenate([matrix[fixed], -matrix[signed]]), np.concatenate(
+            [lower[fixed], -lower[signed]]
+        )
 
     # whole choices
 

@@ -43,9 +43,7 @@ def _pinned(economy: Economy, search: Search, choice: Choice) -> TeamModel:
         replace(view, stops=_stops(robot, choice[r]))
         for r, (view, robot) in enumerate(zip(problem.robots, economy.robots, strict=True))
     )
-    model = TeamModel(
-        replace(problem, robots=views), precision=economy.precision, seed=search.seed
-    )
+    model = TeamModel(replace(problem, robots=views), precision=economy.precision, seed=search.seed)
     for r, robot in enumerate(economy.robots):
         for w, v in enumerate(robot.places):
             if v in model.columns.y[r]:
@@ -60,9 +58,7 @@ def _stops(robot: Robot, codes: Codes) -> tuple[int, ...]:
     """
     exchange = robot.exchange_of[codes + robot.capacity]
     returns = bool((exchange[1:][robot.actor.depot[1:]] > 0).any())
-    return tuple(
-        v for w, v in enumerate(robot.places) if w and (codes[w] or robot.actor.depot[w] or returns)
-    )
+    return tuple(v for w, v in enumerate(robot.places) if w and (codes[w] or robot.actor.depot[w] or returns))
 
 
 def _pin(model: TeamModel, r: int, v: int, code: int, robot: Robot) -> None:

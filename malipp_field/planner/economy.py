@@ -125,7 +125,9 @@ class Economy:
                 counts = [option[c] for option in own]
                 if max(counts, default=0):
                     tables = {
-                        k: _table(robot, v, robot.taken_of) for k, robot in here if robot.precision == precision
+                        k: _table(robot, v, robot.taken_of)
+                        for k, robot in here
+                        if robot.precision == precision
                     }
                     yield Row(min(counts), max(counts), tables)
             if len(own) > 1:  # the classes together make up the precision
@@ -279,9 +281,7 @@ def _anchored_row(v: int, here: list[tuple[int, Robot]], t: int, taken: int) -> 
     return Row(-float(t * (taken - 1)), INFINITY, tables)
 
 
-def _combinations(
-    problem: Problem, classes: list[float], i: int, precision: float
-) -> list[tuple[int, ...]]:
+def _combinations(problem: Problem, classes: list[float], i: int, precision: float) -> list[tuple[int, ...]]:
     """Return the samples by sensor class that gain just this precision at candidate i."""
     v = problem.candidates[i]
     most = [

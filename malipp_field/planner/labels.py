@@ -13,8 +13,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from malipp_field.planner.kernels import njit
 from numpy.typing import NDArray
+
+from malipp_field.planner.kernels import njit
 
 FloatArray = NDArray[np.float64]
 

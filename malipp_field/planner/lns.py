@@ -15,7 +15,7 @@ from dataclasses import replace
 from malipp_field.planner.arcs import InformationStage
 from malipp_field.planner.extract import Route, TeamPlan, Visit, team_plan
 from malipp_field.planner.frozen import freeze
-from malipp_field.planner.pairs import Pair, pairs_of, ranked
+from malipp_field.planner.pairs import Pair, ranked
 from malipp_field.planner.problem import Problem
 from malipp_field.planner.progress import Progress, Result, Search
 from malipp_field.planner.schedules import MOST_PLACES

@@ -61,9 +61,7 @@ def _tabulate(case: Case, state: State, scratch: Scratch, o: int) -> None:
 
 
 @compiled
-def _pass_between(
-    case: Case, state: State, o: int, k: int, detour: np.ndarray, fetch: np.ndarray
-) -> None:
+def _pass_between(case: Case, state: State, o: int, k: int, detour: np.ndarray, fetch: np.ndarray) -> None:
     """Lower what stopping and fetching cost, in joules, where a new stop k is cheaper."""
     before, after = state.route[o, k - 1], state.route[o, k]
     there, onward = case.cost[o, before], case.back[o, after]

@@ -65,9 +65,7 @@ class _Open:
 class ColumnStage:
     """The first stage, minimise J, by branch and price."""
 
-    def __init__(
-        self, problem: Problem, search: Search, start: TeamPlan | None, walks: int = WALKS
-    ) -> None:
+    def __init__(self, problem: Problem, search: Search, start: TeamPlan | None, walks: int = WALKS) -> None:
         self.problem, self.search = problem, search
         self.best = start
         self.bound = 0.0
@@ -407,7 +405,10 @@ class ColumnStage:
         added, total = False, 0.0
         team = range(len(self._robots))
         # listed schedules are priced at once: first what they give
-        for group in ([r for r in team if self._robots[r].pool], [r for r in team if not self._robots[r].pool]):
+        for group in (
+            [r for r in team if self._robots[r].pool],
+            [r for r in team if not self._robots[r].pool],
+        ):
             if added and group:
                 return 0.0, True
             priced = self._cores.map(lambda r: self._priced(branch, point, r), group)

@@ -11,9 +11,9 @@ from random_missions import tiny_mission
 
 from malipp_field.mission import Mission, TeamState
 from malipp_field.plan import Plan
+from malipp_field.planner.columns import Branch, Point
 from malipp_field.planner.extract import TeamPlan
 from malipp_field.planner.linear import Effort
-from malipp_field.planner.columns import Branch, Point
 from malipp_field.planner.master import Master
 from malipp_field.planner.problem import Problem, build_problem, in_units
 from malipp_field.planner.progress import Progress, Search
