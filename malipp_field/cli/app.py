@@ -115,7 +115,8 @@ def plan(
         int | None, typer.Option(min=0, help="Seed of every random choice, of all methods.")
     ] = None,
     threads: Annotated[
-        int | None, typer.Option(min=1, help="Cores for fast and auto; all of them where not given.")
+        int | None,
+        typer.Option(min=1, help="Cores for all methods that can use more than one; all where not given."),
     ] = None,
     work: Annotated[
         int | None,
@@ -123,7 +124,7 @@ def plan(
             min=1,
             metavar="N",
             help="Stop after so many rounds of the exact engine and of fast (pairs of lns): unlike a time "
-            "limit, the same plan on every machine (miqp knows no rounds and passes over it).",
+            "limit, the same plan on every machine with as many cores (miqp passes over it).",
         ),
     ] = None,
     explain: Annotated[

@@ -1,8 +1,8 @@
 """One robot on its own (the paper's LIPP): all it could do is listed, and J worked out for each.
 
-A robot that carries a few samples has some ten or hundred thousand schedules at most, and J of a schedule of k
-samples costs one system of k equations: that is quicker than any search. The listing does not depend on J, so
-it serves for every stage of Seq-LIPP, and it gives the least energy of every schedule as well.
+A robot that carries a few samples has some ten or hundred thousand schedules at most, and J of a schedule of
+k samples costs one system of k equations: that is quicker than any search. The listing does not depend on J,
+so it serves for every stage of Seq-LIPP, and it gives the least energy of every schedule as well.
 """
 
 from __future__ import annotations

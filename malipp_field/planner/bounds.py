@@ -3,8 +3,8 @@
 J is convex, so it lies above its tangent at any point q; what is left is to bound the precision that a team
 could gain, each candidate counted with its slope. Kept of all rules are these: what a robot spends on the
 ways to and from its stops is within its budget, and so is, for the team, that together with what it takes to
-carry every sample to the nearest depot. The point q comes from the method of Frank and Wolfe: the tangent there
-bounds J over that same relaxation nearly as well as any.
+carry every sample to the nearest depot. The point q comes from the method of Frank and Wolfe: the tangent
+there bounds J over that same relaxation nearly as well as any.
 """
 
 from __future__ import annotations
@@ -102,7 +102,7 @@ def _passing(robot: RobotView) -> FloatArray:
 
 
 def _to_depots(problem: Problem) -> FloatArray:
-    """Return the least alpha by which anybody, or several in turn, can bring a sample from a node to a depot."""
+    """Return the least alpha by which a robot, or several in turn, bring a sample from a node to a depot."""
     closures = {id(robot.closure): robot.closure for robot in problem.robots}
     cost = np.min([closure.energy_per_kg for closure in closures.values()], axis=0)
     away: FloatArray = np.full(len(problem.nodes), np.inf)
@@ -117,8 +117,8 @@ def _to_depots(problem: Problem) -> FloatArray:
 def _most(reaches: list[_Reach], worth: FloatArray) -> tuple[float, FloatArray]:
     """Return an upper bound on the worth of all that can be gained, and the precision behind it.
 
-    ``worth`` is that of a unit of precision at each candidate, shape (V,). Any price of the team's energy gives
-    a bound; the function is convex in the price.
+    ``worth`` is that of a unit of precision at each candidate, shape (V,). Any price of the team's energy
+    gives a bound; the function is convex in the price.
     """
     gains = [reach.precision * worth[reach.candidates] for reach in reaches]
     high = max(

@@ -113,8 +113,8 @@ class Choices:
     def _separate(self, x: FloatArray) -> int:
         """Add zero-half cuts that the point violates; return how many.
 
-        Shares are not negative, so half of a sum of rows with its coefficients rounded down is at most half of
-        what the rows add up to, and at a choice it is whole.
+        Shares are not negative, so half of a sum of rows with its coefficients rounded down is at most half
+        of what the rows add up to, and at a choice it is whole.
         """
         parts, totals = self._whole()
         used = np.flatnonzero(x > 1e-9)
@@ -142,9 +142,12 @@ class Choices:
         matrix, lower, upper = self._matrix()
         count = len(economy.kinds) + len(economy.rows)
         fixed = [
-            i for i in range(count)
-            if lower[i] == upper[i] and (matrix[i] == np.rint(matrix[i])).all() and lower[i] == np.rint(lower[i])
-        ]  # fmt: skip
+            i
+            for i in range(count)
+            if lower[i] == upper[i]
+            and (matrix[i] == np.rint(matrix[i])).all()
+            and lower[i] == np.rint(lower[i])
+        ]
         signed = [i for i in fixed if (matrix[i] < 0.0).any()]
         return np.concatenate([matrix[fixed], -matrix[signed]]), np.concatenate(
             [lower[fixed], -lower[signed]]
@@ -203,7 +206,7 @@ class Choices:
         return self._choice([sum(round(float(point[own])) for own in copy) for copy in copies]), False
 
     def _copies(self, k: int, pool: Pool) -> list[int]:
-        """Return how many robots of a kind can follow each schedule: where it samples, all their samples fit."""
+        """Return how many of a kind can follow each schedule so that all their samples fit at its stops."""
         robot, totals = self.economy.leads[k], self.economy.totals
         position = {v: i for i, v in enumerate(self.economy.problem.candidates)}
         most = np.array([totals[position[v]] if v in position else 0 for v in robot.places])

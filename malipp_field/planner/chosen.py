@@ -15,7 +15,7 @@ from malipp_field.planner.timing import add_timing, horizon_s
 
 
 def cheapest_order(economy: Economy, search: Search, choice: Choice) -> tuple[TeamPlan | None, bool]:
-    """Return the plan of least energy that follows a choice to the letter, if any, and whether that is proven."""
+    """Return the plan of least energy that follows a choice to the letter, if any, and if that is proven."""
     model = _pinned(economy, search, choice)
     add_timing(model, horizon_s(economy.problem))
     model.linear.objective(model.energy_terms())
@@ -25,7 +25,7 @@ def cheapest_order(economy: Economy, search: Search, choice: Choice) -> tuple[Te
 
 
 def soonest_order(economy: Economy, search: Search, choice: Choice, best: TeamPlan) -> tuple[TeamPlan, bool]:
-    """Return the soonest plan of a choice with no more energy than ``best``, or ``best``; and whether proven."""
+    """Return the soonest plan of a choice with no more energy than ``best``, or that; and whether proven."""
     model = _pinned(economy, search, choice)
     add_timing(model, best.makespan_s + economy.problem.service_time_s)
     limit_energy(model, best)

@@ -229,7 +229,7 @@ class Economy:
         return values
 
     def pools(self, most: float, effort: Effort) -> list[Pool] | None:
-        """Return all schedules that may be part of a plan of energy ``most`` or less; None if too many, or too late.
+        """Return all schedules that a plan of energy ``most`` or less may hold; None if too many or too late.
 
         Parameters
         ----------
@@ -270,9 +270,10 @@ def _table(robot: Robot, v: int, values: NDArray[Any]) -> FloatArray:
 
 
 def _anchored_row(v: int, here: list[tuple[int, Robot]], t: int, taken: int) -> Row:
-    """Return: robots that sample at v and drop t or more there need picks of t, but for the samples beyond one.
+    """Return: robots that sample at v and drop t or more there need picks of t, but for samples beyond one.
 
-    As in `master`: N of them take N samples or more, so N - 1 is no more than ``taken`` - 1, and somebody picks.
+    As in `master`: N of them take N samples or more, so N - 1 is no more than ``taken`` - 1, and somebody
+    picks.
     """
     tables = {}
     for k, robot in here:

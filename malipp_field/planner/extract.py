@@ -183,7 +183,7 @@ def earliest_departures(problem: Problem, routes: tuple[Route, ...]) -> tuple[tu
 
 
 def in_order(later: Mapping[Place, Mapping[Place, float]]) -> list[Place] | None:
-    """Return all stops, each before those that wait for it (`precedence`); None where they wait in a circle."""
+    """Return all stops, each before those that wait for it (`precedence`); None if they wait in a circle."""
     sorter: TopologicalSorter[Place] = TopologicalSorter(dict.fromkeys(later, ()))
     for stop, following in later.items():
         for after in following:

@@ -1,7 +1,8 @@
 """The fast planner: ruin and recreate on every core first, then as much proof as there is time for.
 
-Most of what can be gained comes within seconds (`walks`; `focus` for large teams). What time is left then goes to the exact search,
-begun with the best plan found: it gives the bound, sometimes a better plan, and for small teams a proof.
+Most of what can be gained comes within seconds (`walks`; `focus` for large teams). What time is left then
+goes to the exact search, begun with the best plan found: it gives the bound, sometimes a better plan, energy
+and makespan, and for small teams a proof. Of teams too large for that `quick_bound` gives the bound.
 """
 
 from __future__ import annotations
@@ -17,7 +18,6 @@ from malipp_field.planner.problem import Problem
 from malipp_field.planner.progress import Result, Search
 from malipp_field.planner.repair import first_plan
 from malipp_field.planner.schedules import MOST_PLACES
-from malipp_field.planner.thrift import last_stages
 from malipp_field.planner.walks import Walks, cores
 
 _SEARCH_SHARE, _ALL_SHARE = 0.5, 0.95
@@ -25,14 +25,14 @@ _SEARCH_SHARE, _ALL_SHARE = 0.5, 0.95
 where there is too little time for a bound."""
 _FIRST_SHARE, _FIRST_S = 0.3, 2.0
 """The same where it will: no more than this share, and no more than so many seconds."""
+_FIRST_ROUNDS = 6
+"""And no more than so many rounds, each twice as long as the one before."""
 _LEAST_PROOF_S = 5.0
 """With less time than this the exact search of a large team would not get beyond its beginning."""
 _BOUND_SHARE, _LEAST_BOUND_S = 0.1, 1.0
 """Part of the time for a first bound, which has none where there is less than so many seconds in all."""
 _MOST_TOGETHER = 16
 """Robots that are searched all together; of larger teams groups of neighbours are, in turn."""
-_LEAST_FINISH_S = 3.0
-"""Energy and makespan need lists that cannot be interrupted: they are not begun with less time than this."""
 
 
 def solve_fast(problem: Problem, search: Search, start: TeamPlan | None = None) -> Result:
@@ -51,29 +51,26 @@ def solve_fast(problem: Problem, search: Search, start: TeamPlan | None = None) 
         start = found.team
     search.tell("first plan", start, None, 0)
     small, bound = is_small(len(problem.robots), len(problem.candidates)), 0.0
-    share = _share(problem, search, small=small)
     if not small and search.effort.left_s >= _LEAST_BOUND_S:
-        bound = quick_bound(problem, search.share(_BOUND_SHARE).effort)
-    best = _searched(searcher, search.share(share), start, bound)
-    if small or (_listable(problem) and search.effort.left_s >= _LEAST_PROOF_S):
-        result = solve_exact(problem, search, best, walks=int(small), arcs=small)
-        return replace(result, bound=max(result.bound, bound))
-    if _listable(problem) and search.effort.left_s >= _LEAST_FINISH_S:
-        best, _ = last_stages(problem, search, best, arcs=False)
-    return Result(best, min(bound, best.information), proven=False)
-
-
-def _share(problem: Problem, search: Search, *, small: bool) -> float:
-    """Return the part of the time for finding plans."""
+        bound = quick_bound(problem, _part(search, _BOUND_SHARE).effort)
     left_s = search.effort.left_s
-    if small:
-        return min(_FIRST_SHARE, _FIRST_S / max(left_s, _FIRST_S))
-    proof_s = (1.0 - _SEARCH_SHARE) * left_s
-    return _SEARCH_SHARE if _listable(problem) and proof_s >= _LEAST_PROOF_S else _ALL_SHARE
+    proving = small or (_listable(problem) and (1.0 - _SEARCH_SHARE) * left_s >= _LEAST_PROOF_S)
+    share = min(_FIRST_SHARE, _FIRST_S / max(left_s, _FIRST_S)) if small else _SEARCH_SHARE
+    most = min(search.work or _FIRST_ROUNDS, _FIRST_ROUNDS) if small else search.work
+    best = _searched(searcher, _part(search, share if proving else _ALL_SHARE), start, bound, most)
+    if not proving:
+        return Result(best, min(bound, best.information), proven=False)
+    result = solve_exact(problem, search, best, walks=int(small), arcs=small)
+    return replace(result, bound=max(result.bound, bound))
+
+
+def _part(search: Search, share: float) -> Search:
+    """Return the search with a share of its time; limited by work, nothing of it may hang on the clock."""
+    return search if search.work is not None else search.share(share)
 
 
 def _listable(problem: Problem) -> bool:
-    """Tell whether the exact search could be of use: no robot has too many places, the team is not too large."""
+    """Tell whether the exact search could be of use: neither places nor robots are too many."""
     few = all(len(robot.places) <= MOST_PLACES for robot in problem.robots)
     return few and len(problem.robots) <= _MOST_TOGETHER
 
@@ -91,10 +88,14 @@ def _begun(problem: Problem, search: Search, searcher: Walks | Focus) -> Result:
     return first_plan(problem, None, search) if team is None else Result(team, 0.0, proven=False)
 
 
-def _searched(searcher: Walks | Focus, search: Search, best: TeamPlan, bound: float) -> TeamPlan:
-    """Return the best plan of all rounds, begun with one."""
-    for count, best in enumerate(searcher.rounds(best, search.effort), 1):
+def _searched(
+    searcher: Walks | Focus, search: Search, start: TeamPlan, bound: float, most: int | None
+) -> TeamPlan:
+    """Return the best plan of all rounds, or of so many, begun with one."""
+    best = start
+    for count, found in enumerate(searcher.rounds(start, search.effort), 1):
+        best = found
         search.tell("ruin and recreate", best, bound or None, count)
-        if search.work is not None and count >= search.work:
+        if most is not None and count >= most:
             break
     return best

@@ -3,7 +3,8 @@
 The compiled search gets slow, and its arrays large, with the number of robots and nodes. But a robot drives
 not far, and samples tell nothing about test points far away. So a round picks a group of neighbours for every
 core, cuts their problem out (`focus_slice`), searches it, and puts the result back if the whole team's plan,
-worked out exactly, keeps its rules and is better. Samples that robots outside handle as well stay as they are.
+worked out exactly, keeps its rules and is better. Samples that robots outside handle as well stay as they
+are.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ _MEMORY = 0.7
 _STALE = 0.2
 """What success counts at least, so that no robot is forgotten."""
 _WHOLE = 3e7
-"""Entries of a cost table for all robots and nodes up to which a first plan is looked for in the whole problem."""
+"""Entries of all robots' cost tables up to which a first plan is looked for in the whole problem."""
 
 
 class Focus:
@@ -107,7 +108,8 @@ class Focus:
             first = int(np.argmax(np.where(free, waited, -1.0)))
             distance = away[first] * self._noise.uniform(0.7, 1.3, len(free))
             distance[first] = -1.0
-            group = np.argsort(np.where(free, distance, np.inf), kind="stable")[: max(1, size)]
+            left = np.flatnonzero(free)  # some of them may be out of reach: infinitely far, but not taken
+            group = left[np.argsort(distance[left], kind="stable")[: max(1, size)]]
             free[group] = False
             groups.append(sorted(group.tolist()))
         return groups
@@ -129,12 +131,11 @@ def _distances(draft: Draft) -> FloatArray:
     )
     there = np.array([near[:, own].mean(axis=1) for own in stops])
     away: FloatArray = np.minimum(there, there.T)
+    partner = _PARTNER * float(np.median(away))
     for sample in draft.samples:
         together = list(handlers(sample))
         if len(together) > 1:
-            away[np.ix_(together, together)] = np.minimum(
-                away[np.ix_(together, together)], _PARTNER * np.median(away)
-            )
+            away[np.ix_(together, together)] = np.minimum(away[np.ix_(together, together)], partner)
     return away
 
 

@@ -1,7 +1,7 @@
 """A few robots of a large team as a problem of their own, all others as they are.
 
-What is cut out is exact but for two things: nodes that look unpromising for the group are left out, and so are
-test points that hardly correlate with those that stay. Whoever uses it judges plans by the whole problem.
+What is cut out is exact but for two things: nodes that look unpromising for the group are left out, and so
+are test points that hardly correlate with those that stay. Whoever uses it judges plans by the whole problem.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _POOL = 2
 _SMALL_DETOUR = 0.05
 """Added to the share of a budget that a detour takes, so that what is near does not win by itself."""
 _UNRELATED = 1e-8
-"""Test points stay out whose variance no sample of the group can lower by more than this share of its prior."""
+"""Test points stay out whose variance no sample of the group lowers by more than this share of its prior."""
 
 
 @dataclass(frozen=True)

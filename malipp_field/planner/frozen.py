@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -49,7 +50,7 @@ def ground(problem: Problem, robot: RobotView, nodes: list[int]) -> list[int]:
     """
     index = {node: i for i, node in enumerate(problem.nodes)}
     taken, found = {robot.start, *nodes}, nodes[-1:]
-    for u, v in reversed(list(zip(nodes, nodes[1:], strict=False))):
+    for u, v in reversed(list(pairwise(nodes))):
         for name in reversed(robot.closure.paths[u, v][1:-1]):
             node = index[name]
             if node in robot.stops and node not in taken:

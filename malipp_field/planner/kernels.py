@@ -1,4 +1,4 @@
-"""Compiled functions kept on disk: loaded without numba's preparations for compiling, compiled not unannounced."""
+"""Compiled functions kept on disk: loaded without numba's preparations to compile, compiled with a notice."""
 
 from __future__ import annotations
 

@@ -5,7 +5,8 @@ places visited. What is spent may count against the value: an actor has a toll, 
 has to suffice. Operations at a place are coded ``a * (2 K + 1) + h + K``: a samples taken, h the net exchange
 (picked less dropped) with K the capacity; the code K is idleness. Place 0 is the start.
 
-All of it stands in one file because numba looks only at the file of a stored function to see whether it is stale.
+All of it stands in one file because numba looks only at the file of a stored function to see whether it is
+stale.
 """
 
 from __future__ import annotations

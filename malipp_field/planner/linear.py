@@ -188,7 +188,7 @@ def _new_solver(seed: int) -> Any:
     # they gave (measured on two robots and eight candidates).
     solver.setOptionValue("mip_heuristic_effort", 0.01)
     solver.setOptionValue("mip_pscost_minreliable", 2)
-    # HiGHS has one scheduler a process, and refuses a second number of threads; its searches gain little by two
+    # HiGHS has one scheduler a process and refuses a second number of threads; searches gain little by two
     solver.setOptionValue("threads", 1)
     return solver
 

@@ -31,8 +31,8 @@ MOST_SWEEPS = 100
 LEAST_PAIR_S = 4.0
 """Allowance of a pair: in this time ruin and recreate has found most of what a pair has to give."""
 SWEEP_SHARE = 0.33
-"""Of the time left, for one sweep, if that allows the pairs more than the minimum: the first sweeps give most,
-and later ones are to have their turn."""
+"""Of the time left, for one sweep, if that allows the pairs more than the minimum: the first sweeps give
+most, and later ones are to have their turn."""
 PAIR_NODES = 20
 """Instead of a time, nodes of the tree for each pair where the work is limited."""
 SEQUENTIAL_SHARE = 0.4

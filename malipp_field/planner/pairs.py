@@ -15,7 +15,7 @@ SLACK_WEIGHT = 1.0
 SHARED_WEIGHT = 1.0
 """Both criteria run from 0 to 1 and the paper prefers neither."""
 FAILURE_WEIGHT = 1.0
-"""A pair that failed once goes behind all that it led by one whole criterion, after two failures behind all."""
+"""A pair that failed once goes behind all that it led by a whole criterion, after two failures behind all."""
 
 
 def pairs_of(problem: Problem) -> list[Pair]:

@@ -6,8 +6,8 @@ The continuous relaxation of the paper's first stage in perspective form: over t
     min  sum_j W_jj [ k_jj - 2 k_j A_j + A_j' K_VV A_j + sum_v A_jv^2 / p_v ],
 
 a cone program (each A_jv^2 / p_v a rotated cone) for Clarabel (`relaxation_cone`). What is returned does not
-rest on the solver's tolerance. J is convex, so J(p) >= J(q) + grad J(q).(p - q) for the solver's q, whatever q is;
-and the smallest value of the right side over the polytope is at least what weak duality gives with the
+rest on the solver's tolerance. J is convex, so J(p) >= J(q) + grad J(q).(p - q) for the solver's q, whatever
+q is; and the smallest value of the right side over the polytope is at least what weak duality gives with the
 solver's multipliers, whatever they are, because every variable lies in a finite box. Good solver output makes
 that bound tight; bad output could only make it weak.
 """

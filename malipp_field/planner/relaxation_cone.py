@@ -3,11 +3,11 @@
     min  1/2 x' P x + q' x   such that   M x + s = b,  s in a product of cones,
 
 with x = (z, A by rows, t): z in the polytope, A the estimator over the candidates that can be sampled, and
-t_v >= sum_j A_jv^2 / p_v. J less a constant is sum_j A_j K A_j' - 2 <L', A> + sum_v t_v, where L L' = K_VT W K_TV:
-the weighted test points enter by it alone, so A has as many rows as that has rank, not as many as test points.
-With u = A_.v / sqrt(m_v) and p = p_v / m_v (m the most precision there can be), t p >= u'u is the cone
-||(p - t, 2 u)|| <= p + t. The same program in cvxpy is a test's reference: importing cvxpy takes longer than
-solving this.
+t_v >= sum_j A_jv^2 / p_v. J less a constant is sum_j A_j K A_j' - 2 <L', A> + sum_v t_v, where
+L L' = K_VT W K_TV: the weighted test points enter by it alone, so A has as many rows as that has rank, not as
+many as test points. With u = A_.v / sqrt(m_v) and p = p_v / m_v (m the most precision there can be),
+t p >= u'u is the cone ||(p - t, 2 u)|| <= p + t. The same program in cvxpy is a test's reference: importing
+cvxpy takes longer than solving this.
 """
 
 from __future__ import annotations

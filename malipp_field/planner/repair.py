@@ -103,7 +103,7 @@ def _copy(draft: Draft, samples: list[Sample]) -> Draft:
 
 
 def _relieve(draft: Draft, r: int, worth: dict[tuple[int, int], float]) -> tuple[Draft, list[Sample]]:
-    """Leave samples out until a robot keeps its rules; return what is left, and what must come home all the same.
+    """Leave samples out until a robot keeps its rules; return what is left, and what must still come home.
 
     Samples not yet taken go first, those first that tell least for the energy they take.
     """

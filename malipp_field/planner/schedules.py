@@ -99,7 +99,7 @@ class Robot:
         return True
 
     def listed(self, gain: FloatArray, least: float, room: int) -> tuple[Codes, FloatArray] | None:
-        """Return codes, shape (M, P), and least energies of schedules, or None with more than ``room`` labels.
+        """Return codes, shape (M, P), and least energies of schedules, None with more than ``room`` labels.
 
         All schedules of value ``least`` or more are among them; others may be.
         """

@@ -131,10 +131,10 @@ def _may_pass(case: Case, state: State, r: int, i: int, v: int) -> bool:
 @compiled
 def _may_unload(state: State, r: int, i: int) -> bool:
     """Tell whether nothing on board before stop i is to be dropped before it is unloaded anyhow."""
-    for k in range(i, state.unload[r, i - 1]):
-        if state.give[r, state.route[r, k]] > 0:
-            return False
-    return True
+    k, end = i, state.unload[r, i - 1]
+    while k < end and state.give[r, state.route[r, k]] <= 0:
+        k += 1
+    return bool(k >= end)
 
 
 @compiled

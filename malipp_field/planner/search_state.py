@@ -269,7 +269,8 @@ def scratch_for(case: Case, samples: int, seed: int) -> Scratch:
     robots, n = case.place.shape
     return Scratch(
         weight=np.ones(robots), shy=np.zeros(robots), fetch=np.zeros((robots, n)),
-        detour=np.zeros((robots, n)), onward=np.zeros((robots, n)), least=np.zeros((robots, n)), lowest=np.zeros(robots),
+        detour=np.zeros((robots, n)), onward=np.zeros((robots, n)), least=np.zeros((robots, n)),
+        lowest=np.zeros(robots),
         changed=np.ones(robots, dtype=np.bool_), gain=np.zeros((robots, n)), hub=np.ones(n, dtype=np.bool_),
         way=np.zeros(11, dtype=np.int64), best=np.zeros(11, dtype=np.int64),
         sample=np.zeros(4, dtype=np.int64),

@@ -5,11 +5,11 @@ posterior, and the one that lowers the team's J most is committed. Robots may un
 hand over. Samples left lying when the plan begins are first shared out, as cheaply as the team can fetch
 them without handing over.
 
-Each robot's problem is cut down to the nodes in its reach. Its plan is exact where all it could do can be listed
-(`malipp_field.planner.alone`). Where that is too much, some thousand iterations of ruin and recreate stand in for
-a proof: on large sites the baseline is a good one, not the exact one. A plan is kept from step to step while
-nothing was secured that its robot could tell anything about. When time is up, robots not yet committed follow
-the plans they have.
+Each robot's problem is cut down to the nodes in its reach. Its plan is exact where all it could do can be
+listed (`malipp_field.planner.alone`). Where that is too much, some thousand iterations of ruin and recreate
+stand in for a proof: on large sites the baseline is a good one, not the exact one. A plan is kept from step
+to step while nothing was secured that its robot could tell anything about, up to a covariance of 1e-5. When
+time is up, robots not yet committed follow the plans they have.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from malipp_field.planner.schedules import MOST_PLACES, robots_of
 from malipp_field.planner.stages import least_makespan
 
 _ITERATIONS = 2_000
-"""Of ruin and recreate, where a robot's schedules cannot be listed; half as many where it has a plan already."""
+"""Of ruin and recreate, where schedules cannot be listed; half as many where there is a plan already."""
 _STRANGERS = 1e-5
 """Covariance, as a share of the largest variance, up to which two candidates count as unrelated."""
 
@@ -111,8 +111,8 @@ def _robots(problem: Problem, shares: list[tuple[int, ...]]) -> list[_Robot]:
         positions = np.array([position[v] for v in nodes.tolist() if v in position], dtype=np.int64)
         part = sliced(alone, [0], nodes, given(problem.information, problem.gained, positions))
         twin = next((o for o in twins[r] if o < r and shares[o] == share), None)
-        options = None if twin is None else found[twin].options
-        found.append(_Robot(part, nodes, positions, options or options_of(part)))
+        options = options_of(part) if twin is None else found[twin].options
+        found.append(_Robot(part, nodes, positions, options))
     return found
 
 
@@ -149,7 +149,7 @@ def _searched(robot: _Robot, search: Search) -> TeamPlan | None:
 
 
 def _wake(problem: Problem, robots: list[_Robot], precision: FloatArray, secured: IntArray) -> None:
-    """Mark the robots that could tell something about what has just been secured at candidates ``secured``."""
+    """Mark the robots that could tell something about what has just been ``secured`` at candidates."""
     known, k_vv = np.flatnonzero(precision > 0.0), problem.information.k_vv
     root = np.sqrt(precision[known])
     b = np.eye(known.size) + root[:, None] * k_vv[np.ix_(known, known)] * root

@@ -75,7 +75,7 @@ def solve(
         Seq-LIPP, "lns" the paper's search over pairs of robots; "miqp" is the paper's model to the letter,
         "arcs" the outer approximation over the arc model: slower proofs of the same optimum.
     threads
-        Cores for "fast" and the beginning of "auto"; all there are where it is None.
+        Cores for all methods that can use more than one; all there are where it is None.
     work_limit
         Most rounds of the exact engine and of ruin and recreate, or pairs of "lns"; a search that ends by it
         gives the same plan on every machine with as many cores.
@@ -177,7 +177,8 @@ def _relaxed(request: Request) -> float:
 
 def _exact(request: Request, problem: Problem, start: TeamPlan | None) -> Plan:
     search = request.search
-    if start is None and request.method in {"auto", "fast"} and search.effort.left_s >= _SEQUENTIAL_FROM_S:
+    enough = search.effort.left_s >= _SEQUENTIAL_FROM_S and search.work is None
+    if start is None and request.method in {"auto", "fast"} and enough:
         start = _one_by_one(problem, search.share(_SEQUENTIAL_SHARE))
     result = _run(request.engine, problem, search, start)
     if result.infeasible:

@@ -1,7 +1,7 @@
 """The stages after the first: with the precision found, least energy, then least makespan (eq:lex_objective).
 
-Both run the arc model (`malipp_field.planner.milp`) with the precision of every candidate fixed. `thrift` does
-the same over whole schedules, and comes back to this where there are too many.
+Both run the arc model (`malipp_field.planner.milp`) with the precision of every candidate fixed. `thrift`
+does the same over whole schedules, and comes back to this where there are too many.
 """
 
 from __future__ import annotations
@@ -17,8 +17,7 @@ from malipp_field.planner.progress import Search
 from malipp_field.planner.timing import add_timing, horizon_s
 
 _ENERGY_SLACK = 1e-7
-
-
+"""Share of a plan's energy, of 1 J at least, by which another may need more and still count as no worse."""
 _ENERGY_SHARE = 0.7
 """Part of the time that the energy stage may take."""
 

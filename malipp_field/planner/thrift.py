@@ -3,7 +3,7 @@
 `economy` lists every schedule that may be part of a plan with no more energy, `choices` picks one for each
 robot. A choice is made into a plan, or refused where its robots would wait for each other in a circle; the
 makespan of every choice of least energy is minimised over the arcs of these schedules (`chosen`). Where
-schedules cannot be listed, the arc model takes over (`stages`).
+schedules cannot be listed, the arc model takes over (`stages`), if it is allowed to.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _SAME = 1e-9
 _ENERGY_SHARE = 0.7
 """Part of the time for the energy stage."""
 _LISTING_SHARE = 0.5
-"""Part of that for pricing, and of what is left for each list; where they fail the rest is the arc model's."""
+"""Part of that for pricing, and of what is left for each list; the rest is the arc model's, if they fail."""
 _FIRST_STEP, _STEP_GROWS = 0.01, 3.0
 """By how much more energy than the bound schedules are listed first, in units of the plan's, and then."""
 _MOST_CHOICES = 40
@@ -48,7 +48,7 @@ def last_stages(
     elif economy is not None:
         cheapest, time_proven = _soonest(economy, search.share(_ENERGY_SHARE), cheapest)
         if time_proven:
-            return cheapest, True
+            return cheapest, energy_proven
     if not arcs:
         return cheapest, False
     soonest, time_proven = least_makespan(problem, search, cheapest)
@@ -99,7 +99,7 @@ def _cheapest(economy: Economy, search: Search, best: TeamPlan) -> tuple[TeamPla
 def _cheapest_of(
     choices: Choices, search: Search, best: TeamPlan, most: float
 ) -> tuple[TeamPlan, bool, bool]:
-    """Return the best plan of these choices or before, whether all were looked at, and if it is the cheapest."""
+    """Return the best plan so far, whether all choices were looked at, and whether it is the cheapest."""
     economy = choices.economy
     while choices.bound < most:
         choice, none = choices.next(most, search.effort, search.seed)

@@ -20,6 +20,8 @@ _FIRST_ROUND = 1_000
 """Iterations of each walk in the first round."""
 _LONGER = 2.0
 """How much longer every round is than the one before: a slower cooling ends in better plans."""
+_LONGEST_ROUND = 64_000
+"""Iterations from which on rounds no longer grow: other walks' news would come too late."""
 _LAST = 1.5
 """A round that would leave less time than this share of its own after it takes all the time that is left."""
 _SHORTEST_ROUND = 200
@@ -50,4 +52,4 @@ class Walks:
                 best = min([best, *found], key=lambda plan: plan.rank)
                 yield best
                 rate = length / max(time.monotonic() - begun, 1e-6)
-                length = int(_LONGER * length)
+                length = min(int(_LONGER * length), _LONGEST_ROUND)

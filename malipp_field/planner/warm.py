@@ -1,7 +1,7 @@
 """Compile the planner's inner loops before anybody waits for a plan (``python -m`` this module).
 
-Numba keeps what it has compiled beside the source files; the first plan on a machine would pay for it. What is
-compiled here is told by `malipp_field.planner.kernels`; where all is on disk already this takes seconds.
+Numba keeps what it has compiled beside the source files; the first plan on a machine would pay for it. What
+is compiled here is told by `malipp_field.planner.kernels`; where all is on disk already this takes seconds.
 """
 
 from __future__ import annotations

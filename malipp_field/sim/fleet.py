@@ -97,7 +97,8 @@ class Fleet:
             )
         except OSError as fault:
             raise LinkError(
-                f"{robot_id}: UDP port {port} on {self._host} cannot be used: {fault.strerror}; choose another"
+                f"{robot_id}: UDP port {port} on {self._host} cannot be used: {fault.strerror}; "
+                "choose another"
             ) from None
         self._transports.append(transport)
         self.endpoints[robot_id] = transport.get_extra_info("sockname")[:2]

@@ -35,7 +35,7 @@ def search(
 
 
 def quickest(run: Callable[[], Plan], limit_s: float) -> tuple[Plan, float]:
-    """Return a plan and the seconds it took; tried thrice at most, since other work only ever makes it slower."""
+    """Return a plan and the seconds it took; tried thrice at most: other work only ever makes it slower."""
     for _ in range(3):
         started = time.monotonic()
         plan = run()

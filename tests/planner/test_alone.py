@@ -50,7 +50,7 @@ def test_a_listing_serves_whatever_has_been_gained_since() -> None:
         assert found.information == pytest.approx(exact.information, rel=1e-6)
 
 
-def test_without_room_for_the_listing_the_exact_search_plans(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_room_for_the_listing_ruin_and_recreate_plans(monkeypatch: pytest.MonkeyPatch) -> None:
     mission = tiny_mission(4, robots=2, candidates=4)
     problem = build_problem(mission, handoffs=False)
     listed = solve_sequential(problem, search())

@@ -155,7 +155,7 @@ def test_what_cannot_be_asked_in_time_is_open_and_the_relaxation_speaks() -> Non
     plan = solve(mission, method="exact", time_limit_s=1.0)
     assert plan.status == "feasible"
     before = time.monotonic()
-    # fifteen questions about three robots, and some about drops: too many for this, however many drops there are
+    # fifteen questions about three robots, and some about drops: too many for this, however many the drops
     explanation = explain(mission, plan, time_limit_s=2.0)
     assert time.monotonic() - before < 5.0
     assert {r.verdict for r in explanation.resources} == {"open"}

@@ -88,9 +88,9 @@ def test_auto_takes_the_exact_search_for_small_teams_only() -> None:
 
 def test_plans_are_told_as_they_are_found_and_only_get_better() -> None:
     told: list[Progress] = []
-    plan = solve(team(5, 14), method="fast", time_limit_s=9.0, work_limit=4, on_progress=told.append)
+    plan = solve(team(5, 14), method="fast", time_limit_s=9.0, work_limit=3, on_progress=told.append)
     found = [entry.incumbent for entry in told if entry.incumbent is not None]
-    assert len(found) > 4
+    assert len(found) == 4  # the first plan, and one after each round
     assert found == sorted(found, reverse=True)
     assert found[-1] == pytest.approx(information(plan))
 
@@ -115,3 +115,14 @@ def test_more_walks_are_never_worse_than_the_first_of_them_alone() -> None:
     assert start is not None
     effort = search(limit_s=120.0).effort
     assert next(three.rounds(start, effort)).rank <= next(one.rounds(start, effort)).rank
+
+
+def test_a_large_team_is_searched_in_groups_and_has_a_bound() -> None:
+    mission = team(18, 36)
+    plan = solve(mission, method="fast", time_limit_s=8.0, work_limit=3)
+    assert not verify(mission, plan)
+    first = solve(mission, method="fast", cancelled=lambda: True)
+    assert information(plan) < information(first)
+    assert plan.bound.information is not None
+    assert 0.0 < plan.bound.information < information(plan)
+    assert plan.status == "feasible"

@@ -1,4 +1,4 @@
-"""Groups of a large team: what comes back is verified and never worse, others' samples stay, a seed decides all."""
+"""Groups of a large team: results are verified and never worse, samples of others stay, seeds decide all."""
 
 from __future__ import annotations
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from random_missions import tiny_mission
@@ -65,5 +67,5 @@ def test_parts_of_cheapest_ways_are_cheapest_ways(seed: int) -> None:
                 nodes = [robot.start, stop, depot]
                 walk = ground(problem, robot, nodes)
                 cost = robot.closure.energy_per_kg
-                whole = sum(float(cost[u, v]) for u, v in zip(walk, walk[1:], strict=False))
+                whole = sum(float(cost[u, v]) for u, v in pairwise(walk))
                 assert whole == pytest.approx(float(cost[robot.start, stop] + cost[stop, depot]))

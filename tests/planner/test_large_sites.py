@@ -1,4 +1,4 @@
-"""What large sites need: compiled closures equal to the others, closures in common, and a quick bound that holds."""
+"""What large sites need: compiled closures equal to the others, shared closures, a quick bound that holds."""
 
 from __future__ import annotations
 

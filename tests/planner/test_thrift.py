@@ -168,6 +168,16 @@ def test_with_too_many_schedules_or_choices_the_arc_model_takes_over(
     check(mission, None, problem, plans[0])
 
 
+def test_the_soonest_of_plans_that_may_not_be_the_cheapest_is_not_proven(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    problem, plans = some_plans(tiny_mission(404, candidates=4), None, 1)
+    found, proven = last_stages(problem, search(), plans[0], arcs=False)
+    assert proven
+    monkeypatch.setattr(thrift, "_cheapest", lambda economy, effort, plan: (plan, False))
+    assert last_stages(problem, search(), found, arcs=False) == (found, False)
+
+
 def test_without_time_the_plan_stays_unproven() -> None:
     problem, plans = some_plans(tiny_mission(404, candidates=4), None, 1)
     found, proven = last_stages(problem, search(limit_s=0.0), plans[0])
