@@ -15,7 +15,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import MaxNLocator, NullFormatter, ScalarFormatter
 
 from malipp_field.bench import paper
 from malipp_field.bench.cases import Cases, mean
@@ -32,6 +32,8 @@ _SAID: dict[str, Any] = {
 _DPI = 160
 _POINTS = 240
 """Of a curve."""
+_LEAST_GAIN = -20.0
+"""Per cent below which curves are cut: first plans say nothing beside the rest."""
 _STYLE: dict[Any, Any] = {
     "font.size": 10, "axes.titlesize": 11, "axes.spines.top": False, "axes.spines.right": False,
     "axes.grid": True, "grid.color": "#dddddd", "grid.linewidth": 0.6, "axes.axisbelow": True,
@@ -183,7 +185,8 @@ def _scalability(cases: Cases) -> Figure | None:
         return None
     panels[0].set_ylabel("gain over Seq-LIPP (%)")
     handles, labels = panels[drawn.index(True)].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=5 if len(cells) > 1 else 2)
+    figure.legend(handles, labels, loc="outside lower center", ncols=min(3, len(cells)))
+    panels[0].set_ylim(bottom=max(_LEAST_GAIN, panels[0].get_ylim()[0]))
     return figure
 
 
@@ -210,6 +213,8 @@ def _curves(axes: Axes, cases: Cases, cell: Specification) -> bool:
     if said is not None and drawn:
         axes.axhline(said, color=_PAPER, linestyle=":", linewidth=1.2, label="the paper after 1800 s")
     axes.set_xscale("log")
+    axes.xaxis.set_major_formatter(ScalarFormatter())
+    axes.xaxis.set_minor_formatter(NullFormatter())
     axes.set_xlabel("seconds since planning began")
     count = len(cases.of(cell, SEQ))
     axes.set_title(f"{_size(cell)}, {count} instance{'s' * (count != 1)}", loc="left")
