@@ -218,8 +218,8 @@ def test_the_page_counts_matches_of_certified_optima() -> None:
         update={"bound": 1.0}
     )
     text = report([Cases(study, rows)], "malipp bench", [], {})
-    assert "| all | fast | 3 | 100.0 % | 66.7 % | 100.0 % | 0.50 | 1.0 |" in text
-    assert "exact certified 3 of 4 instances" in text
+    assert "| all | fast | 5 | 100.0 % | 80.0 % | 100.0 % | 0.50 | 1.0 |" in text
+    assert "exact certified 5 of 6 instances" in text
 
 
 def test_the_page_tells_failures_and_missing_methods() -> None:
