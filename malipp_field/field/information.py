@@ -41,6 +41,13 @@ class Information:
         """J when nothing is sampled."""
         return float(self.weights @ self.k_tt)
 
+    def posterior(self, precision: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return C_VV, shape (V, V), and C_TV, shape (T, V), given p, shape (V,) (`eq:generic_llse2`)."""
+        root = np.sqrt(precision)
+        b = np.eye(root.size) + root[:, None] * self.k_vv * root
+        known = np.linalg.solve(b, root[:, None] * self.k_vv)
+        return self.k_vv - (self.k_vv * root) @ known, self.k_tv - (self.k_tv * root) @ known
+
     def value(self, precision: FloatArray) -> float:
         """Return J(p) (`eq:generic_llse2`) for p of shape (V,), p >= 0."""
         p = np.asarray(precision, dtype=np.float64)

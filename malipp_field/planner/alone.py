@@ -93,7 +93,8 @@ def plan_alone(problem: Problem, options: Options) -> TeamPlan | None:
     """
     if not len(options.codes):
         return None
-    c_vv, worth = _posterior(problem)
+    c_vv, c_tv = problem.information.posterior(problem.gained)
+    worth = c_tv.T @ (problem.information.weights[:, None] * c_tv)  # C_VT W C_TV
     fall = np.zeros(len(options.codes))
     for rows, s, precision in options.groups:
         noise = np.eye(s.shape[1]) / precision[:, :, None]
@@ -102,13 +103,3 @@ def plan_alone(problem: Problem, options: Options) -> TeamPlan | None:
     equal = np.flatnonzero(fall >= fall.max() - _TIE * problem.information.prior)
     best = equal[np.argmin(options.energy_j[equal])]
     return realise(problem, [options.robot], [options.codes[best]])
-
-
-def _posterior(problem: Problem) -> tuple[FloatArray, FloatArray]:
-    """Return C_VV and C_VT W C_TV given the precision gained, both of shape (V, V)."""
-    information, root = problem.information, np.sqrt(problem.gained)
-    b = np.eye(root.size) + root[:, None] * information.k_vv * root
-    known = np.linalg.solve(b, root[:, None] * information.k_vv)
-    c_vv = information.k_vv - (information.k_vv * root) @ known
-    c_tv = information.k_tv - (information.k_tv * root) @ known
-    return c_vv, c_tv.T @ (information.weights[:, None] * c_tv)

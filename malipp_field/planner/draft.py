@@ -35,6 +35,11 @@ class Sample(NamedTuple):
     stock: int = -1
 
 
+def handlers(sample: Sample) -> set[int]:
+    """Return the robots through whose hands a sample goes."""
+    return {sample.robot, *(receiver for _, receiver in sample.hops)}
+
+
 class Draft:
     """Routes (node lists from start to terminal) and samples; changed in place."""
 

@@ -16,9 +16,9 @@ from dataclasses import replace
 import numpy as np
 
 from malipp_field.field import FloatArray, Information
-from malipp_field.planner.draft import Draft, draft_of
+from malipp_field.planner.draft import Draft, draft_of, handlers
 from malipp_field.planner.extract import TeamPlan, team_plan
-from malipp_field.planner.focus_slice import Slice, cut, handlers, sliced
+from malipp_field.planner.focus_slice import Slice, cut, sliced
 from malipp_field.planner.improve import Improver
 from malipp_field.planner.linear import Effort
 from malipp_field.planner.problem import Problem

@@ -14,7 +14,7 @@ import numpy as np
 
 from malipp_field.field import FloatArray, Information
 from malipp_field.planner.closure import Closure
-from malipp_field.planner.draft import COLLECTED, ON_BOARD, STOCK, Draft, Sample
+from malipp_field.planner.draft import COLLECTED, ON_BOARD, STOCK, Draft, Sample, handlers
 from malipp_field.planner.problem import IntArray, Problem
 from malipp_field.planner.search_state import Case, case_of
 
@@ -67,11 +67,6 @@ class Slice:
         team = set(robot.values())
         kept = [sample for sample in whole.samples if not handlers(sample) <= team]
         return Draft(whole.problem, routes, kept + [_renumbered(s, node, robot) for s in part.samples])
-
-
-def handlers(sample: Sample) -> set[int]:
-    """Return the robots through whose hands a sample goes."""
-    return {sample.robot, *(receiver for _, receiver in sample.hops)}
 
 
 def cut(draft: Draft, team: Sequence[int], noise: np.random.Generator) -> Slice:

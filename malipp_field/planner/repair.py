@@ -19,7 +19,7 @@ from collections import Counter
 from dataclasses import replace
 
 from malipp_field.plan import Plan
-from malipp_field.planner.draft import COLLECTED, ON_BOARD, Draft, Sample
+from malipp_field.planner.draft import COLLECTED, ON_BOARD, Draft, Sample, handlers
 from malipp_field.planner.extract import TeamPlan, team_plan
 from malipp_field.planner.follow import followed
 from malipp_field.planner.improve import Improver
@@ -91,8 +91,8 @@ def _brought_home(kernel: Kernel, draft: Draft, homeless: list[Sample]) -> TeamP
 
 def _without(whole: Draft, freed: set[int]) -> tuple[Draft, list[Sample]]:
     """Return a draft without what the robots ``freed`` handle, and what of that must come home."""
-    going = [sample for sample in whole.samples if not freed.isdisjoint(_handlers(sample))]
-    draft = _copy(whole, [sample for sample in whole.samples if freed.isdisjoint(_handlers(sample))])
+    going = [sample for sample in whole.samples if not freed.isdisjoint(handlers(sample))]
+    draft = _copy(whole, [sample for sample in whole.samples if freed.isdisjoint(handlers(sample))])
     draft.tidy()
     return draft, _to_be_brought(going)
 
@@ -110,7 +110,7 @@ def _relieve(draft: Draft, r: int, worth: dict[tuple[int, int], float]) -> tuple
     homeless = []
     while not _is_kept(draft, r):
         energy_j, options = _energy_j(draft, r), []
-        for sample in {s for s in draft.samples if r in _handlers(s)}:
+        for sample in {s for s in draft.samples if r in handlers(s)}:
             trial = _copy(draft, draft.samples)
             trial.remove(sample)
             trial.tidy()
@@ -165,10 +165,6 @@ def _worth(problem: Problem, draft: Draft) -> dict[tuple[int, int], float]:
         precision[position[node]] += count * problem.robots[r].precision
     _, slope = problem.information.value_and_gradient(precision)
     return {(r, node): -float(slope[position[node]]) * problem.robots[r].precision for r, node in taken}
-
-
-def _handlers(sample: Sample) -> set[int]:
-    return {sample.robot, *(receiver for _, receiver in sample.hops)}
 
 
 def _to_be_brought(samples: list[Sample]) -> list[Sample]:

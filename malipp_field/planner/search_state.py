@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from malipp_field.field import FloatArray, Information
+from malipp_field.field import FloatArray
 from malipp_field.planner.draft import ON_BOARD, STOCK, Draft, Sample
 from malipp_field.planner.problem import IntArray, Problem
 
@@ -206,7 +206,7 @@ def case_of(problem: Problem) -> Case:
     robots, n = problem.robots, len(problem.nodes)
     ways_home = [[_way_home(problem, r, v, {v}) for v in range(n)] for r in range(len(robots))]
     at_once = [_way_home(problem, r, robot.start, set()) for r, robot in enumerate(robots)]
-    k_vv, k_tv, prior = _posterior(problem.information, problem.gained)
+    k_vv, k_tv = problem.information.posterior(problem.gained)
     index = np.full(n, -1, dtype=np.int64)
     index[list(problem.candidates)] = np.arange(len(problem.candidates))
     limits = np.array([np.minimum(robot.limits, robot.capacity) for robot in robots], dtype=np.int64)
@@ -228,10 +228,10 @@ def case_of(problem: Problem) -> Case:
         precision=np.array([robot.precision for robot in robots]),
         limits=np.where(place & (index >= 0), limits, 0),
         candidate=index,
-        k_vv=k_vv,
+        k_vv=np.ascontiguousarray(k_vv),
         k_vt=np.ascontiguousarray(k_tv.T),
         weights=np.asarray(problem.information.weights, dtype=np.float64),
-        prior=prior,
+        prior=problem.information.value(problem.gained),
         sample_mass_kg=float(problem.sample_mass_kg),
         fixed_board=np.zeros(len(robots), dtype=np.int64),
         fixed_collect=np.zeros_like(limits),
@@ -350,13 +350,3 @@ def _handoffs(problem: Problem) -> BoolArray:
             if r != o:
                 mask[r, o, problem.shared(r, o)] = True
     return mask
-
-
-def _posterior(information: Information, gained: FloatArray) -> tuple[FloatArray, FloatArray, float]:
-    """Return C_VV, C_TV and J given the precision gained (eq:generic_llse2)."""
-    root = np.sqrt(gained)
-    b = np.eye(root.size) + root[:, None] * information.k_vv * root
-    known = np.linalg.solve(b, root[:, None] * information.k_vv)
-    c_vv = information.k_vv - (information.k_vv * root) @ known
-    c_tv = information.k_tv - (information.k_tv * root) @ known
-    return np.ascontiguousarray(c_vv), np.ascontiguousarray(c_tv), information.value(gained)
