@@ -14,7 +14,7 @@ from collections.abc import Iterator, Sequence
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from malipp_field.link.commands import command_name
-from malipp_field.vehicle.steps import MAV_CMD_NAV_SCRIPT_TIME, MAV_CMD_NAV_WAYPOINT, MissionItem
+from malipp_field.vehicle.items import MAV_CMD_NAV_SCRIPT_TIME, MAV_CMD_NAV_WAYPOINT, MissionItem
 
 PLACE_TOLERANCE_M = 0.5
 """Latitude and longitude through float32 are off by up to this; a rover's waypoint radius is 2 m."""

@@ -13,7 +13,7 @@ from malipp_field.link.compare import differences
 from malipp_field.link.exchange import DEFAULT_TIMEOUT_S, Exchange, MavMessage
 from malipp_field.link.mission_protocol import MissionClear, MissionDownload, MissionUpload
 from malipp_field.link.vehicle import HEARTBEAT_LOST_S, MODE_NUMBERS, Vehicle
-from malipp_field.vehicle.steps import MissionItem
+from malipp_field.vehicle.items import MissionItem
 
 TICK_S = 0.05
 EFFECT_LIMIT_S = 10.0

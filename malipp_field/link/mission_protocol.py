@@ -24,7 +24,7 @@ from malipp_field.link.exchange import (
     Exchange,
     MavMessage,
 )
-from malipp_field.vehicle.steps import MissionItem
+from malipp_field.vehicle.items import MissionItem
 
 ITEM_TIMEOUT_S = 0.25
 BUSY_LIMIT_S = 30.0

@@ -9,6 +9,7 @@ from malipp_field.bus.messages import Hold, Load, Release, Start
 from malipp_field.errors import LinkError
 from malipp_field.link.driver import Driver
 from malipp_field.link.progress import Progress
+from malipp_field.vehicle.layout import lay_out
 from malipp_field.vehicle.payload_protocol import REPEAT_S
 from malipp_field.vehicle.steps import Action, VehicleMission
 
@@ -61,7 +62,7 @@ class Orders:
         if vehicle.armed or vehicle.mode == "AUTO":
             await self._make_stand(order)
         self._progress.forget()
-        await self._driver.install(mission.items())
+        await self._driver.install(lay_out(mission).items)
         self._progress.adopt(mission)
         if order.resume and under_way:
             await self._go(mission)
@@ -108,13 +109,13 @@ class Orders:
 
     async def _go(self, mission: VehicleMission) -> None:
         """Have the vehicle carry out what is not done yet; leave it holding when it does not."""
-        index = self._progress.first_undone(mission)
-        if index is None:
+        item = self._progress.resumption(mission)
+        if item is None:
             return
         begun = self._progress.under_way
         try:
-            await self._driver.stand_at(index + 1)
-            self._progress.follow(index)  # from here on it may move, whatever the link lets us hear of it
+            await self._driver.stand_at(item)
+            self._progress.follow(item)  # from here on it may move, whatever the link lets us hear of it
             await self._driver.launch()
         except LinkError:
             if not begun and not self._driver.vehicle.armed:
@@ -134,5 +135,5 @@ class Orders:
             raise LinkError(f"step {uid} is not a gate")
         if current is None or current.uid != uid:
             raise LinkError(f"the vehicle is not at {uid}, but at {current.uid if current else 'no step'}")
-        await self._driver.leave(index + 1)
+        await self._driver.leave(lay_out(mission).last_item(index))
         return "released"

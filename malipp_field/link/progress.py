@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import deque
 
+from malipp_field.vehicle.layout import Layout, lay_out
 from malipp_field.vehicle.payload_protocol import PayloadReport
 from malipp_field.vehicle.steps import Action, Step, VehicleMission
 
@@ -30,7 +31,9 @@ class Progress:
         self.done: set[str] = set()
         self._known: deque[VehicleMission] = deque()  # newest first
         self._followed: VehicleMission | None = None
+        self._layout: Layout | None = None  # of the mission followed
         self._index = 0
+        self._item = 0
 
     @property
     def known(self) -> bool:
@@ -74,24 +77,42 @@ class Progress:
         """Note that what is on board is not known any more."""
         self.mission = None
 
-    def follow(self, index: int) -> None:
-        """Count MISSION_CURRENT from now on: the vehicle is at step ``index`` of the mission on board."""
-        self._followed, self._index = self.mission, index
+    def resumption(self, mission: VehicleMission) -> int | None:
+        """Return the item at which a mission is to be begun or gone on with; None when all is done.
+
+        A step of several items goes on where it was left off: a servo that has been set is not set again.
+        """
+        index = self.first_undone(mission)
+        if index is None:
+            return None
+        layout, current = lay_out(mission), self.current
+        first = layout.first_item(index)
+        if current is None or self._layout is None or current.uid != mission.steps[index].uid:
+            return first
+        return min(first + max(0, self._item - self._layout.first_item(self._index)), layout.last_item(index))
+
+    def follow(self, item: int) -> None:
+        """Count MISSION_CURRENT from now on: the vehicle is at that item of the mission on board."""
+        assert self.mission is not None
+        self._followed, self._layout = self.mission, lay_out(self.mission)
+        self._index, self._item = self._layout.steps[item], item
 
     def unfollow(self) -> None:
         """Note that the mission was not begun after all."""
-        self._followed, self._index = None, 0
+        self._followed, self._layout, self._index, self._item = None, None, 0, 0
 
     def report(self, seq: int, complete: bool) -> None:
-        """Take in MISSION_CURRENT. Item ``seq`` is step ``seq - 1``; at item 0 the vehicle is at no step.
+        """Take in MISSION_CURRENT; at item 0 the vehicle is at no step.
 
         A payload step without its confirmation stops the count: what is said to lie behind it is either a
         stale index or a vehicle that passes over its work.
         """
-        mission = self.mission
-        if mission is None or not self.in_force or not (complete or 0 < seq <= len(mission.steps)):
+        mission, layout = self.mission, self._layout
+        if mission is None or layout is None or not self.in_force:
             return
-        self._index = len(mission.steps) if complete else seq - 1
+        if not (complete or 0 < seq < len(layout.steps)):
+            return
+        self._index, self._item = (len(mission.steps), 0) if complete else (layout.steps[seq], seq)
         for step in mission.steps[: self._index]:
             if step.action in _PASSED_BY:
                 self.done.add(step.uid)

@@ -1,7 +1,14 @@
 """The mission file: what it may say, how it is read, and the site graph and frame that follow from it."""
 
 from malipp_field.mission.geo import ABSTRACT_ORIGIN, locate, to_globe, to_local
-from malipp_field.mission.graph import Passage, drives_alike, keep_out_polygons, node_positions, passages
+from malipp_field.mission.graph import (
+    Passage,
+    drives_alike,
+    fence_polygon,
+    keep_out_polygons,
+    node_positions,
+    passages,
+)
 from malipp_field.mission.load import parse_mission, read_mission
 from malipp_field.mission.schema import Mission, Robot
 from malipp_field.mission.state import Cache, RobotState, TeamState, initial_state
@@ -15,6 +22,7 @@ __all__ = [
     "RobotState",
     "TeamState",
     "drives_alike",
+    "fence_polygon",
     "initial_state",
     "keep_out_polygons",
     "locate",

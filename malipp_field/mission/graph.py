@@ -40,6 +40,12 @@ def keep_out_polygons(mission: Mission) -> dict[str, Polygon]:
     }
 
 
+def fence_polygon(mission: Mission) -> Polygon | None:
+    """Return the area no vehicle may leave, in local metres; `None` where the mission has no fence."""
+    fence = mission.site.fence
+    return None if fence is None else Polygon([locate(place, mission.site.origin) for place in fence])
+
+
 def drives_alike(mission: Mission) -> list[tuple[str, ...]]:
     """Return the ids of the robots in groups whose `passages` are the same, each in the order of the team."""
     named: dict[str, list[tuple[int, bool, float, float]]] = {}
@@ -58,7 +64,7 @@ def passages(mission: Mission, robot_id: str) -> list[Passage]:
     """Return every directed edge that ``robot_id`` may drive.
 
     Explicit edges first; in a `complete` site also a straight one for every pair of nodes that no keep-out
-    separates and no explicit edge joins in that direction.
+    separates, that stays within the fence, and that no explicit edge joins in that direction.
     """
     robot = mission.robot(robot_id)
     places = node_positions(mission)
@@ -84,9 +90,10 @@ def passages(mission: Mission, robot_id: str) -> list[Passage]:
         for tail, head in directions:
             add(tail, head, length_m, dearer, faster)
     if mission.site.complete:
-        blocked = unary_union(list(keep_out_polygons(mission).values()))
+        blocked, fence = unary_union(list(keep_out_polygons(mission).values())), fence_polygon(mission)
         for tail, head in itertools.permutations(places, 2):
             line = LineString([places[tail], places[head]])
-            if (tail, head) not in given and not (line.intersects(blocked) and not line.touches(blocked)):
+            free = not line.intersects(blocked) or line.touches(blocked)
+            if (tail, head) not in given and free and (fence is None or fence.covers(line)):
                 add(tail, head, line.length, 1.0, 1.0)
     return found

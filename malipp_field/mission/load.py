@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
-from shapely.geometry import LineString, Polygon
+from shapely.geometry import LineString, Point, Polygon
 
 from malipp_field.documents import ContentError, Document, Location, parse_document, read_document, suggest
 from malipp_field.mission.geo import locate
-from malipp_field.mission.graph import keep_out_polygons, node_positions
+from malipp_field.mission.graph import fence_polygon, keep_out_polygons, node_positions
 from malipp_field.mission.schema import Edge, Mission, Place
+from malipp_field.mission.vehicles import GroundStation
 
 
 def read_mission(path: Path) -> Mission:
@@ -36,6 +37,8 @@ def _checked(document: Document) -> Mission:
         _check_graph(mission)
         _check_team(mission)
         _check_keep_outs(mission)
+        _check_fence(mission)
+        _check_vehicles(mission)
     except ContentError as fault:
         raise document.error(fault.location, fault.problem) from None
     return mission
@@ -48,6 +51,7 @@ def _check_places(mission: Mission) -> None:
         (("field", "test_points"), mission.field.test_points),
         (("simulation", "terrain"), mission.simulation.terrain),
         *[(("site", "keep_outs", i, "polygon"), k.polygon) for i, k in enumerate(site.keep_outs)],
+        (("site", "fence"), site.fence or ()),
     ]
     for location, places in groups:
         for index, place in enumerate(places):
@@ -120,6 +124,41 @@ def _check_keep_outs(mission: Mission) -> None:
                     f"the straight edge {edge.from_} to {edge.to} crosses keep-out '{keep_out_id}'; "
                     "lead it round by a via node",
                 )
+
+
+def _check_fence(mission: Mission) -> None:
+    fence = fence_polygon(mission)
+    if fence is None:
+        return
+    if not fence.is_valid:
+        raise ContentError(("site", "fence"), "the outline crosses itself")
+    for index, (node, place) in enumerate(node_positions(mission).items()):
+        if not fence.covers(Point(place)):
+            raise ContentError(("site", "nodes", index), f"node '{node}' lies outside the fence")
+    places = node_positions(mission)
+    for index, edge in enumerate(mission.site.edges):
+        if not fence.covers(LineString([places[edge.from_], places[edge.to]])):
+            raise ContentError(
+                ("site", "edges", index),
+                f"the straight edge {edge.from_} to {edge.to} leaves the fence; lead it round by a via node",
+            )
+
+
+def _check_vehicles(mission: Mission) -> None:
+    robots = [robot.id for robot in mission.team.robots]
+    for robot in mission.vehicles:
+        _check_known(robot, robots, ("vehicles", robot), "robot")
+    if not mission.vehicles and mission.ground_station == GroundStation():
+        return  # ids by position differ; teams of more than 254 can be planned for, if not driven
+    taken: dict[int, str] = {mission.ground_station.system_id: "the ground station"}
+    for robot in robots:
+        system_id = mission.vehicle(robot).system_id or 0
+        if system_id in taken:
+            raise ContentError(
+                ("vehicles", robot, "system_id"),
+                f"MAVLink system id {system_id} of '{robot}' is that of {taken[system_id]} already",
+            )
+        taken[system_id] = f"'{robot}'"
 
 
 def _crosses(line: LineString, polygon: Polygon) -> bool:

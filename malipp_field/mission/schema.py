@@ -1,7 +1,8 @@
 """The mission file `malipp-mission/1` as frozen records.
 
-Field by field the contract of ``docs/formats.md``: SI units with the unit in the name. Sections beyond it
-(`keep_outs`, `replanning`, `simulation`) are optional; a mission without them plans all the same.
+Field by field the contract of ``docs/formats.md``: SI units with the unit in the name. What goes beyond it
+(`keep_outs`, `fence`, `vehicles`, `ground_station`, `replanning`, `simulation`) is optional; a mission
+without it plans all the same.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from malipp_field.documents import StrictModel
+from malipp_field.mission.vehicles import GroundStation, VehicleSettings
 
 Identifier = Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]*$", max_length=64)]
 Positive = Annotated[float, Field(gt=0)]
@@ -77,6 +79,8 @@ class Site(StrictModel):
     edges: tuple[Edge, ...] = Field(default=(), strict=False)
     complete: bool = False
     keep_outs: tuple[KeepOut, ...] = Field(default=(), strict=False)
+    fence: Annotated[tuple[Place, ...], Field(min_length=3, strict=False)] | None = None
+    """Outline of the area no vehicle may leave."""
 
 
 class Kernel(StrictModel):
@@ -181,6 +185,14 @@ class Mission(StrictModel):
     planner: PlannerOptions = PlannerOptions()
     replanning: Replanning = Replanning()
     simulation: Simulation = Simulation()
+    vehicles: dict[Identifier, VehicleSettings] = Field(default={})
+    ground_station: GroundStation = GroundStation()
+
+    def vehicle(self, robot_id: str) -> VehicleSettings:
+        """Return the settings of a robot's vehicle, with its system id; raises `KeyError` for none such."""
+        position = [robot.id for robot in self.team.robots].index(self.robot(robot_id).id) + 1
+        settings = self.vehicles.get(robot_id, VehicleSettings())
+        return settings.model_copy(update={"system_id": settings.system_id or position})
 
     def robot(self, robot_id: str) -> Robot:
         """Return the robot of that id; raises `KeyError` where there is none."""

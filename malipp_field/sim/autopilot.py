@@ -16,7 +16,8 @@ from malipp_field.sim.motion import Leg, Position
 from malipp_field.sim.params import Parameters
 from malipp_field.sim.payload import PayloadScript, action_of
 from malipp_field.sim.world import World
-from malipp_field.vehicle.steps import Action, MissionItem, degrees_e7
+from malipp_field.vehicle.items import MissionItem, degrees_e7
+from malipp_field.vehicle.steps import Action
 
 MODES = {
     mavlink.ROVER_MODE_MANUAL, mavlink.ROVER_MODE_HOLD, mavlink.ROVER_MODE_LOITER,

@@ -12,7 +12,7 @@ from enum import Enum, auto
 
 from malipp_field.sim.items import NAVIGATION
 from malipp_field.sim.mission_store import MissionStore
-from malipp_field.vehicle.steps import MissionItem
+from malipp_field.vehicle.items import MissionItem
 
 
 class RunState(Enum):

@@ -15,7 +15,7 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from malipp_field.sim.items import RefusedItemError, item_of, stored
-from malipp_field.vehicle.steps import MissionItem
+from malipp_field.vehicle.items import MissionItem
 
 MAX_ITEMS = 655
 """With home; `AP_Mission` has room for no more on the boards Rover is run on."""

@@ -10,8 +10,10 @@ from __future__ import annotations
 
 from malipp_field.sim.motion import Position
 from malipp_field.sim.world import World
+from malipp_field.vehicle.items import MAV_CMD_NAV_SCRIPT_TIME, MissionItem
+from malipp_field.vehicle.layout import ACTION_CODES
 from malipp_field.vehicle.payload_protocol import REPEAT_S, format_confirmation
-from malipp_field.vehicle.steps import ACTION_CODES, MAV_CMD_NAV_SCRIPT_TIME, Action, MissionItem
+from malipp_field.vehicle.steps import Action
 
 _ACTIONS = {code: action for action, code in ACTION_CODES.items()}
 

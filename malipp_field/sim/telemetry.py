@@ -10,8 +10,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from malipp_field.sim.autopilot import Autopilot, mission_state
 from malipp_field.sim.world import World
+from malipp_field.vehicle.items import degrees_e7
 from malipp_field.vehicle.payload_protocol import ENERGY_NAME, JOULES_PER_WATT_HOUR
-from malipp_field.vehicle.steps import degrees_e7
 
 NOMINAL_V = 12.0
 """Battery voltage; it does not sag."""

@@ -75,9 +75,13 @@ class _Handled:
     collect: list[int]
     drop: list[tuple[int, str]] = field(default_factory=list)
     pick: list[tuple[int, str]] = field(default_factory=list)
+    doubtful: frozenset[int] = frozenset()
+    """Those that may not be there, after a pick that goes on without them."""
 
 
-def compile_plan(mission: Mission, plan: Plan, custody: Custody | None = None) -> Compiled:
+def compile_plan(
+    mission: Mission, plan: Plan, custody: Custody | None = None, start_s: float | None = None
+) -> Compiled:
     """Return the steps of every vehicle of a plan.
 
     Parameters
@@ -88,6 +92,8 @@ def compile_plan(mission: Mission, plan: Plan, custody: Custody | None = None) -
         A verified plan of that mission.
     custody
         Containers on board and in caches when the plan begins; by default none.
+    start_s
+        When mission time 0 is, in seconds since the Unix epoch. Without it no gate opens by time.
 
     Raises
     ------
@@ -98,7 +104,7 @@ def compile_plan(mission: Mission, plan: Plan, custody: Custody | None = None) -
     _check_fits(mission, plan)
     custody = custody or Custody.none()
     samples = _new_samples(mission, plan, custody)
-    handled = _follow_containers(plan, custody, samples)
+    handled = _follow_containers(mission, plan, custody, samples)
     points = {node: _point(mission, place) for node, place in node_positions(mission).items()}
     missions = {
         robot.id: VehicleMission(
@@ -109,9 +115,15 @@ def compile_plan(mission: Mission, plan: Plan, custody: Custody | None = None) -
                 step
                 for index, stop in enumerate(robot.route)
                 for step in _steps(
-                    f"v{plan.version}/{robot.id}", index, stop, handled[robot.id, index], points
+                    f"v{plan.version}/{robot.id}",
+                    index,
+                    stop,
+                    handled[robot.id, index],
+                    points,
+                    _gate_s(mission, robot.id, stop, start_s),
                 )
             ),
+            payload=mission.vehicle(robot.id).payload,
         )
         for robot in plan.robots
     }
@@ -163,11 +175,24 @@ def _new_samples(mission: Mission, plan: Plan, custody: Custody) -> dict[Place, 
     }
 
 
+def _gate_s(mission: Mission, robot: str, stop: Stop, start_s: float | None) -> float | None:
+    """Return when a gate at a stop opens by itself: the planned service window there, and a margin.
+
+    The window of a plan begins no earlier than the sender's departure and the clearance
+    (`eq:deaddrop_sync`).
+    """
+    vehicle = mission.vehicle(robot)
+    if start_s is None or vehicle.gate != "time":
+        return None
+    return start_s + stop.depart_s - mission.team.service_time_s + vehicle.gate_margin_s
+
+
 def _follow_containers(
-    plan: Plan, custody: Custody, samples: Mapping[Place, list[Sample]]
+    mission: Mission, plan: Plan, custody: Custody, samples: Mapping[Place, list[Sample]]
 ) -> dict[Place, _Handled]:
     """Return which containers are handled where."""
-    containers = _Containers(plan, custody)
+    lenient = {robot.id for robot in plan.robots if mission.vehicle(robot.id).if_missing == "go_on"}
+    containers = _Containers(plan, custody, lenient)
     stops = dict(_stops(plan))
     return {
         place: containers.visit(place, stops[place], [sample.tag for sample in samples[place]])
@@ -178,11 +203,13 @@ def _follow_containers(
 class _Containers:
     """Where every container is while the stops of a plan are gone through in order."""
 
-    def __init__(self, plan: Plan, custody: Custody) -> None:
+    def __init__(self, plan: Plan, custody: Custody, lenient: set[str]) -> None:
         self._on_board = {robot.id: deque(custody.on_board.get(robot.id, ())) for robot in plan.robots}
         self._caches = {key: deque(tags) for key, tags in custody.caches.items()}
         self._dropped: dict[Handoff, deque[int]] = {}
         self._planned = _planned_drops(plan)
+        self._lenient = lenient  # robots that go on where there is nothing to pick
+        self._doubtful: set[int] = set()
 
     def visit(self, place: Place, stop: Stop, collected: list[int]) -> _Handled:
         """Carry out one stop; raises `PlanError` when something is not there."""
@@ -198,6 +225,10 @@ class _Containers:
             found = self._pick(place, stop, sender, count)
             load.extend(found)
             here.pick += [(tag, sender) for tag in found]
+            if robot in self._lenient:
+                self._doubtful.update(found)
+        strict_picks = {tag for tag, _ in here.pick} if robot not in self._lenient else set()
+        here.doubtful = frozenset(self._doubtful - strict_picks)
         return here
 
     def _pick(self, place: Place, stop: Stop, sender: str, count: int) -> list[int]:
@@ -257,7 +288,12 @@ def _stops(plan: Plan) -> Iterator[tuple[Place, Stop]]:
 
 
 def _steps(
-    prefix: str, index: int, stop: Stop, handled: _Handled, points: Mapping[str, GeoPoint]
+    prefix: str,
+    index: int,
+    stop: Stop,
+    handled: _Handled,
+    points: Mapping[str, GeoPoint],
+    gate_s: float | None,
 ) -> Iterator[Step]:
     """Yield the steps of one stop: the leg to it, then its actions, one container each."""
     for leg, (tail, head) in enumerate(pairwise(stop.path or ()), start=1):
@@ -268,7 +304,7 @@ def _steps(
     if handled.pick:
         yield Step(
             uid=f"{here}/wait", action=Action.WAIT, node=stop.node, stop=index, place=points[stop.node],
-            tags=tuple(tag for tag, _ in handled.pick),
+            tags=tuple(tag for tag, _ in handled.pick), not_before_s=gate_s,
         )  # fmt: skip
     actions: list[tuple[Action, int, str | None]] = [
         *((Action.UNLOAD, tag, None) for tag in handled.unload),
@@ -280,6 +316,7 @@ def _steps(
         yield Step(
             uid=f"{here}/{action.value}/{tag}", action=action, node=stop.node, stop=index,
             place=points[stop.node], tags=(tag,), peer=peer,
+            if_missing="go_on" if tag in handled.doubtful else "hold",
         )  # fmt: skip
 
 

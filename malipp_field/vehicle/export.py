@@ -12,6 +12,7 @@ from malipp_field.mission import Mission
 from malipp_field.mission.schema import Origin
 from malipp_field.plan import Plan
 from malipp_field.vehicle.compile import Compiled, compile_plan
+from malipp_field.vehicle.layout import lay_out
 from malipp_field.vehicle.qgc_plan import qgc_plan_text
 from malipp_field.vehicle.steps import VehicleMission
 from malipp_field.vehicle.wpl import wpl_text
@@ -79,8 +80,9 @@ def _map_text(plan: Plan, compiled: Compiled, names: dict[str, str]) -> str:
                 "id": robot,
                 "file": names[robot] if vehicle.steps else None,
                 "items": [
-                    {"item": index + 1, **step.model_dump(mode="json", exclude={"place"})}
-                    for index, step in enumerate(vehicle.steps)
+                    {"item": item, **vehicle.steps[index].model_dump(mode="json", exclude={"place"})}
+                    for item, index in enumerate(lay_out(vehicle).steps)
+                    if index >= 0
                 ],
             }
             for robot, vehicle in compiled.missions.items()

@@ -10,7 +10,9 @@ import json
 
 from malipp_field.mission import Mission, keep_out_polygons, node_positions, to_globe
 from malipp_field.mission.schema import Origin
-from malipp_field.vehicle.steps import MAV_CMD_NAV_WAYPOINT, MissionItem, VehicleMission
+from malipp_field.vehicle.items import WITH_PLACE, MissionItem
+from malipp_field.vehicle.layout import lay_out
+from malipp_field.vehicle.steps import VehicleMission
 
 MAV_AUTOPILOT_ARDUPILOTMEGA = 3
 MAV_TYPE_GROUND_ROVER = 10
@@ -47,7 +49,7 @@ def qgc_plan_text(mission: Mission, origin: Origin, vehicle: VehicleMission) -> 
                 *_rounded(vehicle.home.lat_deg, vehicle.home.lon_deg),
                 origin.alt_m + vehicle.home.alt_m,
             ],
-            "items": [_simple_item(item) for item in vehicle.items()[1:]],
+            "items": [_simple_item(item) for item in lay_out(vehicle).items[1:]],
         },
         "geoFence": {"version": 2, "circles": [], "polygons": _exclusions(mission, origin)},
         "rallyPoints": {"version": 2, "points": _rally_points(mission, origin, vehicle.robot)},
@@ -64,7 +66,7 @@ def _simple_item(item: MissionItem) -> Json:
         "doJumpId": item.seq,
     }
     params = [item.param1, item.param2, item.param3, item.param4]
-    if item.command == MAV_CMD_NAV_WAYPOINT:
+    if item.command in WITH_PLACE:
         data |= {"AMSLAltAboveTerrain": None, "Altitude": item.z, "AltitudeMode": ALTITUDE_MODE_RELATIVE}
         return data | {"params": [*params, item.x / 1e7, item.y / 1e7, item.z]}
     # Without a position (frame 2) params 5 to 7 are not degrees: x and y travel as they are.

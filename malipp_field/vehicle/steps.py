@@ -1,23 +1,19 @@
-"""What one vehicle is to do, step by step, and each step as the MAVLink item that makes it do so.
+"""What one vehicle is to do, step by step.
 
-Steps and mission items correspond one to one: item 0 is home, item ``i + 1`` is step ``i``. A step keeps its
-`uid` when a replan leaves it in force, so progress made under the old mission counts under the new one.
+`malipp_field.vehicle.layout` makes one or more mission items of each, after the vehicle's payload hardware. A
+step keeps its `uid` when a replan leaves it in force, so progress made under the old mission counts under the
+new one.
 """
 
 from __future__ import annotations
 
 from enum import StrEnum
-from typing import Annotated, NamedTuple
+from typing import Annotated, Literal
 
 from pydantic import Field
 
 from malipp_field.documents import StrictModel
-
-MAV_FRAME_GLOBAL = 0
-MAV_FRAME_MISSION = 2
-MAV_FRAME_GLOBAL_RELATIVE_ALT = 3
-MAV_CMD_NAV_WAYPOINT = 16
-MAV_CMD_NAV_SCRIPT_TIME = 42702
+from malipp_field.mission.vehicles import PayloadProfile
 
 MAX_TAG = 32767
 """Container tags travel in an int16 of NAV_SCRIPT_TIME."""
@@ -27,35 +23,11 @@ class Action(StrEnum):
     """What a step does."""
 
     DRIVE = "drive"
-    WAIT = "wait"  # hold until a teammate's drop is confirmed
+    WAIT = "wait"  # hold until a teammate's drop is confirmed, or due
     COLLECT = "collect"
     DROP = "drop"
     PICK = "pick"
     UNLOAD = "unload"
-
-
-ACTION_CODES = {Action.WAIT: 1, Action.COLLECT: 2, Action.DROP: 3, Action.PICK: 4, Action.UNLOAD: 5}
-"""``command`` (param 1) of NAV_SCRIPT_TIME, as the payload script on the vehicle knows it."""
-
-
-class MissionItem(NamedTuple):
-    """One item of the MAVLink mission protocol, in the fields of MISSION_ITEM_INT.
-
-    ``x`` and ``y`` are degrees times 1e7 for items with a position, raw int16 for NAV_SCRIPT_TIME.
-    """
-
-    seq: int
-    frame: int
-    command: int
-    current: int
-    autocontinue: int
-    param1: float
-    param2: float
-    param3: float
-    param4: float
-    x: int
-    y: int
-    z: float
 
 
 class GeoPoint(StrictModel):
@@ -79,6 +51,10 @@ class Step(StrictModel):
     """The container handled; for `WAIT` all containers that must be there first."""
     peer: str | None = None
     """The other robot of a drop or pick."""
+    not_before_s: float | None = None
+    """Of a `WAIT`: when the vehicle may pass by itself, in seconds since the Unix epoch; null: never."""
+    if_missing: Literal["hold", "go_on"] = "hold"
+    """What to do where the container is not there, or not on board since it was not there to be picked."""
 
 
 class Sample(StrictModel):
@@ -96,38 +72,8 @@ class VehicleMission(StrictModel):
     version: int
     home: GeoPoint
     steps: tuple[Step, ...] = Field(strict=False)
-
-    def items(self) -> list[MissionItem]:
-        """Return the MAVLink mission, home first."""
-        return [_home_item(self.home), *(_item(step, i + 1) for i, step in enumerate(self.steps))]
+    payload: PayloadProfile = PayloadProfile()
 
     def index_of(self, uid: str) -> int | None:
         """Return the index of a step, or `None` when this mission does not contain it."""
         return next((i for i, step in enumerate(self.steps) if step.uid == uid), None)
-
-
-def degrees_e7(degrees: float) -> int:
-    """Return degrees as MAVLink's int32 of 1e-7 degree."""
-    return round(degrees * 1e7)
-
-
-def _home_item(home: GeoPoint) -> MissionItem:
-    return MissionItem(
-        0, MAV_FRAME_GLOBAL, MAV_CMD_NAV_WAYPOINT, 0, 1, 0.0, 0.0, 0.0, 0.0,
-        degrees_e7(home.lat_deg), degrees_e7(home.lon_deg), home.alt_m,
-    )  # fmt: skip
-
-
-def _item(step: Step, seq: int) -> MissionItem:
-    if step.action is Action.DRIVE:
-        return MissionItem(
-            seq, MAV_FRAME_GLOBAL_RELATIVE_ALT, MAV_CMD_NAV_WAYPOINT, 0, 1, 0.0, 0.0, 0.0, 0.0,
-            degrees_e7(step.place.lat_deg), degrees_e7(step.place.lon_deg), 0.0,
-        )  # fmt: skip
-    # Timeout 0: ArduPilot then waits for the script's word for ever. A vehicle that stands still is found
-    # again; one that drives on without its sample is not noticed ("reached" is no proof).
-    return MissionItem(
-        seq, MAV_FRAME_MISSION, MAV_CMD_NAV_SCRIPT_TIME, 0, 1,
-        float(ACTION_CODES[step.action]), 0.0, float(step.stop), float(len(step.tags)),
-        step.tags[0] if step.tags else 0, 0, 0.0,
-    )  # fmt: skip

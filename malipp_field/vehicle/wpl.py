@@ -7,18 +7,20 @@ frame, command, params 1 to 4, latitude or x, longitude or y, altitude or z, aut
 from __future__ import annotations
 
 from malipp_field.mission.schema import Origin
-from malipp_field.vehicle.steps import MAV_CMD_NAV_WAYPOINT, MissionItem, VehicleMission
+from malipp_field.vehicle.items import WITH_PLACE, MissionItem
+from malipp_field.vehicle.layout import lay_out
+from malipp_field.vehicle.steps import VehicleMission
 
 
 def wpl_text(origin: Origin, vehicle: VehicleMission) -> str:
     """Return the text of a waypoint file; ``origin`` gives home its altitude above sea level."""
-    home, *items = vehicle.items()
+    home, *items = lay_out(vehicle).items
     rows = [home._replace(current=1, z=origin.alt_m + home.z), *items]
     return "QGC WPL 110\n" + "".join(_row(item) for item in rows)
 
 
 def _row(item: MissionItem) -> str:
-    if item.command == MAV_CMD_NAV_WAYPOINT:
+    if item.command in WITH_PLACE:
         x, y = item.x / 1e7, item.y / 1e7
     else:
         x, y = float(item.x), float(item.y)

@@ -13,7 +13,9 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from malipp_field.link.exchange import GROUND_COMPONENT, GROUND_SYSTEM, Exchange
 from malipp_field.sim.mission_store import MissionStore, Sender
-from malipp_field.vehicle.steps import Action, GeoPoint, MissionItem, Step, VehicleMission
+from malipp_field.vehicle.items import MissionItem
+from malipp_field.vehicle.layout import lay_out
+from malipp_field.vehicle.steps import Action, GeoPoint, Step, VehicleMission
 
 UNHURRIED = settings(deadline=None)
 """For properties: the machine may be busy with other things."""
@@ -43,7 +45,7 @@ def drives(count: int, version: int = 1, robot: str = "scout", first: int = 1) -
 def mission_items(count: int) -> list[MissionItem]:
     """Home, then drives and collects in turn; ``count`` items with home."""
     steps = [step(Action.COLLECT if n % 2 else Action.DRIVE, n, n % 2 * n) for n in range(count - 1)]
-    return VehicleMission(robot="scout", version=1, home=HOME, steps=tuple(steps)).items()
+    return lay_out(VehicleMission(robot="scout", version=1, home=HOME, steps=tuple(steps))).items
 
 
 def framed(message: Any, system: int = SYSTEM, component: int = 1) -> Any:

@@ -10,6 +10,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from malipp_field.bus.messages import Confirmation, Event, Load, Start, Telemetry
 from malipp_field.link.compare import differences
 from malipp_field.sim import RoverConfig
+from malipp_field.vehicle.layout import lay_out
 from malipp_field.vehicle.steps import Action
 
 
@@ -230,7 +231,7 @@ def test_a_failed_load_leaves_the_vehicle_holding_and_can_be_made_good() -> None
         assert [uid for _, uid, _ in yard.confirmed] == WORK_DONE
         links = [text for text in yard.events if text.startswith("link")]
         assert links == ["link: the vehicle is heard", "link: the vehicle is not heard any more", *links[:1]]
-        assert differences(yard.mission(*ROUND).items(), yard.rover.autopilot.store.items) == []
+        assert differences(lay_out(yard.mission(*ROUND)).items, yard.rover.autopilot.store.items) == []
 
     Yard().run(scene)
 

@@ -11,7 +11,7 @@ from link_cases import UNHURRIED, mission_items
 
 from malipp_field.link.compare import PLACE_TOLERANCE_M, differences
 from malipp_field.sim.items import RefusedItemError, stored
-from malipp_field.vehicle.steps import MissionItem
+from malipp_field.vehicle.items import MissionItem
 
 HOME = mission_items(1)[0]
 FLOATS = st.floats(-70000, 70000, width=32)

@@ -161,7 +161,7 @@ WORK = VehicleMission(
 def under_way() -> Progress:
     progress = Progress()
     progress.adopt(WORK)
-    progress.follow(0)
+    progress.follow(1)
     return progress
 
 

@@ -9,8 +9,10 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from malipp_field.mission import Mission, parse_mission
 from malipp_field.sim import Rover, RoverConfig, World
+from malipp_field.vehicle.items import MissionItem, degrees_e7
+from malipp_field.vehicle.layout import ACTION_CODES
 from malipp_field.vehicle.payload_protocol import ACK_NAME, PayloadReport, parse_confirmation
-from malipp_field.vehicle.steps import ACTION_CODES, Action, MissionItem, degrees_e7
+from malipp_field.vehicle.steps import Action
 
 START_S = 1_700_000_000.0
 GROUND = (255, 190)

@@ -22,7 +22,8 @@ from sim_cases import action, numbered, site, waypoint
 from malipp_field.clock import WallClock
 from malipp_field.sim import Fleet, RoverConfig
 from malipp_field.sim.mission_store import Sender
-from malipp_field.vehicle.steps import Action, MissionItem
+from malipp_field.vehicle.items import MissionItem
+from malipp_field.vehicle.steps import Action
 
 FOUND_WITHIN_S = 15.0
 LIMIT_S = 60.0

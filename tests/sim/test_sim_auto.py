@@ -11,7 +11,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from sim_cases import Ground, action, ground_for, numbered, of, site, waypoint
 
 from malipp_field.sim import RoverConfig, World
-from malipp_field.vehicle.steps import Action, MissionItem
+from malipp_field.vehicle.items import MissionItem
+from malipp_field.vehicle.steps import Action
 
 HOLD, AUTO = mavlink.ROVER_MODE_HOLD, mavlink.ROVER_MODE_AUTO
 DIAGONAL_M = math.hypot(100.0, 60.0)

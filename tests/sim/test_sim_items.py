@@ -9,7 +9,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from sim_cases import action, from_ground
 
 from malipp_field.sim.items import RefusedItemError, item_of, stored
-from malipp_field.vehicle.steps import Action, MissionItem
+from malipp_field.vehicle.items import MissionItem
+from malipp_field.vehicle.steps import Action
 
 MISSION, FENCE, RALLY = 0, 1, 2
 WAYPOINT = MissionItem(3, 3, 16, 1, 0, 0.0, 0.0, 0.0, 0.0, 340219000, -1182870000, 1.239)

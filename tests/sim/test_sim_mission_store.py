@@ -12,7 +12,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from sim_cases import item_int, of
 
 from malipp_field.sim.mission_store import MAX_ITEMS, MissionStore, Sender
-from malipp_field.vehicle.steps import MissionItem
+from malipp_field.vehicle.items import MissionItem
 
 US = Sender(255, 190)
 STRANGER = Sender(254, 190)

@@ -10,7 +10,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from sim_cases import Ground, action, from_ground, ground_for, item_int, numbered, of, site, waypoint
 
 from malipp_field.sim import RoverConfig
-from malipp_field.vehicle.steps import Action, MissionItem
+from malipp_field.vehicle.items import MissionItem
+from malipp_field.vehicle.steps import Action
 
 ACCEPTED, FAILED = mavlink.MAV_RESULT_ACCEPTED, mavlink.MAV_RESULT_FAILED
 ARM = mavlink.MAV_CMD_COMPONENT_ARM_DISARM

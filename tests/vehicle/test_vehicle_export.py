@@ -17,7 +17,8 @@ from vehicle_cases import handoff_plan, plan_of, small_mission, stop
 from malipp_field.errors import InputError, PlanError
 from malipp_field.vehicle.compile import compile_plan
 from malipp_field.vehicle.export import export
-from malipp_field.vehicle.steps import MissionItem
+from malipp_field.vehicle.items import MissionItem
+from malipp_field.vehicle.layout import lay_out
 
 MISSION = small_mission()
 DEG_TOLERANCE = 1e-7
@@ -47,7 +48,7 @@ def importer() -> Iterator[MissionRaw]:
 
 
 def items_of(robot: str) -> list[MissionItem]:
-    return compile_plan(MISSION, handoff_plan()).missions[robot].items()
+    return lay_out(compile_plan(MISSION, handoff_plan()).missions[robot]).items
 
 
 def test_one_file_a_robot_that_moves_and_the_map(tmp_path: Path) -> None:
@@ -157,7 +158,7 @@ def test_the_map_ties_items_to_the_plan(tmp_path: Path) -> None:
     assert (robots["carrier"]["file"], robots["scout2"]["file"]) == ("small-carrier.plan", None)
     assert robots["carrier"]["items"][2] == {
         "item": 3, "uid": "v1/carrier/1/pick/1", "action": "pick", "node": "hub", "stop": 1, "tags": [1],
-        "peer": "scout",
+        "peer": "scout", "not_before_s": None, "if_missing": "hold",
     }  # fmt: skip
     assert document["samples"][2] == {"tag": 3, "node": "hub", "sampler": "scout"}
 
