@@ -1,7 +1,7 @@
 """Compiled search for the cheapest way home of one more sample, and its insertion.
 
 A way is: brought home by the robot that takes it; or dropped where it was taken, at a later stop or at a new
-one, for the robot that fetches it at least cost, by passing or by a detour; that robot may drop it once more.
+one, for the robot that fetches it at least cost, by passing or by a detour. `search_chain` finds longer ones.
 All tests of energy, room and order take constant time on what `derive` and `order` have found.
 """
 
@@ -11,12 +11,36 @@ import numpy as np
 
 from malipp_field.planner.draft import COLLECTED, ON_BOARD, STOCK
 from malipp_field.planner.search_compile import compiled
-from malipp_field.planner.search_routes import copy_of, count, derive, insert_stop, learn, order, uniform
-from malipp_field.planner.search_state import FIRST_HOP, HOPS, KIND, NODE, PILE, ROBOT, Case, Scratch, State
-
-W_ROBOT, W_NODE, W_AT, W_DROPS, W_DROP, W_DROP_AT, W_BY, W_BY_AT, W_NEXT, W_LAST, W_LAST_AT = range(11)
-"""Columns of a way: who takes the sample where, before which stop; number of drops; the first drop and
-before which stop; who fetches it, before which stop; the second drop, who fetches it, before which stop."""
+from malipp_field.planner.search_routes import (
+    count,
+    derive,
+    insert_stop,
+    learn,
+    may_pass,
+    may_unload,
+    onward,
+    order,
+    places_of,
+    stop_energy_j,
+    uniform,
+)
+from malipp_field.planner.search_state import (
+    FIRST_HOP,
+    HOPS,
+    KIND,
+    NODE,
+    PILE,
+    ROBOT,
+    W_AT,
+    W_DROPS,
+    W_FIRST,
+    W_NODE,
+    W_ROBOT,
+    W_WIDTH,
+    Case,
+    Scratch,
+    State,
+)
 
 
 @compiled
@@ -25,19 +49,11 @@ def find_costs(case: Case, state: State, scratch: Scratch) -> None:
 
     Only robots marked as changed are looked at: what fetching costs one hangs on its own route alone.
     """
-    robots, n = case.place.shape
-    for o in range(robots):
+    for o in range(len(state.length)):
         if scratch.changed[o]:
             _tabulate(case, state, scratch, o)
             scratch.changed[o] = False
-        copy_of(scratch.onward[o], scratch.fetch[o])
     _find_least(case, scratch)
-    if scratch.relays[0]:
-        for o in range(robots):
-            for w in range(n):
-                if case.place[o, w]:
-                    _cheapest_relay(case, state, scratch, o, w)
-        _find_least(case, scratch)
 
 
 @compiled
@@ -70,7 +86,7 @@ def _pass_between(case: Case, state: State, o: int, k: int, detour: np.ndarray, 
     sample_kg, leg = case.sample_mass_kg, there[after]
     mass_kg = case.mass_kg[o] + sample_kg * state.depart[o, k - 1]
     rest = state.cum[o, state.unload[o, k - 1]] - state.cum[o, k]
-    room, no_depots = state.peak[o, k - 1] < case.capacity[o], not _may_unload(state, o, k)
+    room, no_depots = state.peak[o, k - 1] < case.capacity[o], not may_unload(state, o, k)
     for w in range(len(fetch)):
         energy_j = (there[w] + onward[w] - leg) * mass_kg
         if not energy_j < np.inf or (no_depots and case.depot[o, w]):
@@ -88,53 +104,13 @@ def _find_least(case: Case, scratch: Scratch) -> None:
         for w in range(n):
             least[w] = np.inf
         for o in range(robots):
-            handoff, onward = case.handoff[r, o], scratch.onward[o]
+            handoff, fetch = case.handoff[r, o], scratch.fetch[o]
             for w in range(n):
-                if handoff[w] and onward[w] < least[w]:
-                    least[w] = onward[w]
+                if handoff[w] and fetch[w] < least[w]:
+                    least[w] = fetch[w]
         scratch.lowest[r] = np.inf
         for w in range(n):
             scratch.lowest[r] = min(scratch.lowest[r], least[w])
-
-
-@compiled
-def _places(case: Case, state: State, r: int, v: int) -> tuple[int, int]:
-    """Return the first and the last index at which a robot can stop at a node: its stop, or a new one."""
-    if not case.place[r, v]:
-        return 1, 0
-    at = state.pos[r, v]
-    return (at, at) if at >= 0 else (1, state.length[r] - 1)
-
-
-@compiled
-def _onward(case: Case, state: State, r: int, i: int, v: int) -> float:
-    """Return alpha from v as a new stop i to the stop after it."""
-    if i == state.length[r] - 1:
-        return float(case.home[r, v])
-    return float(case.cost[r, v, state.route[r, i]])
-
-
-@compiled
-def _detour_j(case: Case, state: State, r: int, i: int, v: int) -> float:
-    """Return the energy of a new stop i at v with what is on board there."""
-    before, after = state.route[r, i - 1], state.route[r, i]
-    alpha = case.cost[r, before, v] + _onward(case, state, r, i, v) - case.cost[r, before, after]
-    return float(alpha * (case.mass_kg[r] + case.sample_mass_kg * state.depart[r, i - 1]))
-
-
-@compiled
-def _may_pass(case: Case, state: State, r: int, i: int, v: int) -> bool:
-    """Tell whether v may be new stop i: what is unloaded at a depot must not have to be dropped later."""
-    return not case.depot[r, v] or _may_unload(state, r, i)
-
-
-@compiled
-def _may_unload(state: State, r: int, i: int) -> bool:
-    """Tell whether nothing on board before stop i is to be dropped before it is unloaded anyhow."""
-    k, end = i, state.unload[r, i - 1]
-    while k < end and state.give[r, state.route[r, k]] <= 0:
-        k += 1
-    return bool(k >= end)
 
 
 @compiled
@@ -145,42 +121,14 @@ def _fetch_cost(case: Case, state: State, scratch: Scratch, o: int, k: int, w: i
             return np.inf
         energy_j = case.sample_mass_kg * (state.cum[o, state.unload[o, k]] - state.cum[o, k])
     else:
-        if state.peak[o, k - 1] >= case.capacity[o] or not _may_pass(case, state, o, k, w):
+        if state.peak[o, k - 1] >= case.capacity[o] or not may_pass(case, state, o, k, w):
             return np.inf
         rest = state.cum[o, state.unload[o, k - 1]] - state.cum[o, k]
-        energy_j = _detour_j(case, state, o, k, w)
-        energy_j += case.sample_mass_kg * (_onward(case, state, o, k, w) + rest)
+        energy_j = stop_energy_j(case, state, o, k, w)
+        energy_j += case.sample_mass_kg * (onward(case, state, o, k, w) + rest)
     if state.energy_j[o] + energy_j <= case.budget_j[o]:
         return float(energy_j * scratch.weight[o])
     return np.inf
-
-
-@compiled
-def _cheapest_relay(case: Case, state: State, scratch: Scratch, o: int, w: int) -> None:
-    """Lower ``onward`` where it is cheaper that o drops at a later stop what it fetches at w."""
-    first, last = _places(case, state, o, w)
-    for k in range(first, last + 1):
-        m, end, energy_j, way = _begin_relay(case, state, o, k, w)
-        while m < end and state.arrive[o, m] < case.capacity[o]:
-            more_j = energy_j + case.sample_mass_kg * (way + state.cum[o, m] - state.cum[o, k])
-            if state.energy_j[o] + more_j <= case.budget_j[o]:
-                cost = more_j * scratch.weight[o] + scratch.least[o, state.route[o, m]]
-                scratch.onward[o, w] = min(scratch.onward[o, w], cost)
-            if state.depart[o, m] >= case.capacity[o]:
-                break
-            m += 1
-
-
-@compiled
-def _begin_relay(case: Case, state: State, o: int, k: int, w: int) -> tuple[int, int, float, float]:
-    """Return the stops from which to which o may drop again, the energy of its detour, and the first leg."""
-    if state.pos[o, w] >= 0:
-        end = state.unload[o, k] if state.depart[o, k] < case.capacity[o] else 0
-        return k + 1, end, 0.0, 0.0
-    end = state.unload[o, k - 1] if state.depart[o, k - 1] < case.capacity[o] else 0
-    if not _may_pass(case, state, o, k, w):
-        end = 0
-    return k, end, _detour_j(case, state, o, k, w), _onward(case, state, o, k, w)
 
 
 @compiled
@@ -191,52 +139,14 @@ def _carrier(case: Case, state: State, scratch: Scratch, r: int, since: int, w: 
     the drop itself.
     """
     for o in range(len(state.length)):
-        if not case.handoff[r, o, w] or scratch.onward[o, w] >= limit:
+        if not case.handoff[r, o, w] or scratch.fetch[o, w] >= limit:
             continue
-        first, last = _places(case, state, o, w)
+        first, last = places_of(case, state, o, w)
         for k in range(max(first, state.clock[r, since, o] + 1), last + 1):
             cost = _fetch_cost(case, state, scratch, o, k, w)
             if cost < limit:
                 limit = cost
-                scratch.way[W_DROPS], scratch.way[W_BY], scratch.way[W_BY_AT] = 1, o, k
-            if scratch.relays[0]:
-                limit = _relay(case, state, scratch, r, since, o, k, w, limit)
-    return limit
-
-
-@compiled
-def _relay(
-    case: Case,
-    state: State,
-    scratch: Scratch,
-    r: int,
-    since: int,
-    o: int,
-    k: int,
-    w: int,
-    limit: float,
-) -> float:
-    """Find a third robot that fetches what o has fetched from r and drops at a later stop."""
-    m, end, energy_j, way = _begin_relay(case, state, o, k, w)
-    while m < end and state.arrive[o, m] < case.capacity[o]:
-        x = state.route[o, m]
-        more_j = energy_j + case.sample_mass_kg * (way + state.cum[o, m] - state.cum[o, k])
-        own = more_j * scratch.weight[o]
-        fits = state.energy_j[o] + more_j <= case.budget_j[o]
-        for p in range(len(state.length)):
-            if p == r or not fits or not case.handoff[o, p, x] or own + scratch.fetch[p, x] >= limit:
-                continue
-            first, last = _places(case, state, p, x)
-            after = max(state.clock[r, since, p], state.clock[o, m, p])
-            for q in range(max(first, after + 1), last + 1):
-                cost = own + _fetch_cost(case, state, scratch, p, q, x)
-                if cost < limit:
-                    limit = cost
-                    scratch.way[W_DROPS], scratch.way[W_BY], scratch.way[W_BY_AT] = 2, o, k
-                    scratch.way[W_NEXT], scratch.way[W_LAST], scratch.way[W_LAST_AT] = x, p, q
-        if state.depart[o, m] >= case.capacity[o]:
-            break
-        m += 1
+                scratch.way[W_DROPS], scratch.way[W_FIRST + 2], scratch.way[W_FIRST + 3] = 1, o, k
     return limit
 
 
@@ -254,7 +164,7 @@ def find_way(
     Returns its cost (energy weighted by ``scratch.weight``), or ``limit`` where none is cheaper. Places
     are overlooked with probability ``scratch.blink``.
     """
-    first, last = _places(case, state, r, v)
+    first, last = places_of(case, state, r, v)
     for i in range(first, last + 1):
         if uniform(scratch) < scratch.blink[0]:
             continue
@@ -274,15 +184,15 @@ def _ways_from(
 ) -> float:
     """Improve on ``limit`` by ways that begin at stop i, or at a new stop i."""
     new, kind = state.pos[r, v] < 0, scratch.sample[0]
-    detour_j = _detour_j(case, state, r, i, v) if new else 0.0
+    detour_j = stop_energy_j(case, state, r, i, v) if new else 0.0
     held = state.depart[r, i - 1] if new else state.arrive[r, i]
     cheap = detour_j * scratch.weight[r] < limit and state.energy_j[r] + detour_j <= case.budget_j[r]
-    if not cheap or (new and not _may_pass(case, state, r, i, v)):
+    if not cheap or (new and not may_pass(case, state, r, i, v)):
         return limit
     if kind != STOCK and held >= case.capacity[r]:
         return limit
     before = i - 1 if new else i
-    way = _onward(case, state, r, i, v) if new else 0.0
+    way = onward(case, state, r, i, v) if new else 0.0
     home_j = detour_j + case.sample_mass_kg * (way + state.cum[r, state.unload[r, before]] - state.cum[r, i])
     room = state.peak[r, before] < case.capacity[r]
     if kind == ON_BOARD and case.depot[r, v]:
@@ -302,7 +212,7 @@ def _ways_from(
 @compiled
 def _note(scratch: Scratch, r: int, v: int, i: int, w: int, j: int) -> None:
     scratch.way[W_ROBOT], scratch.way[W_NODE], scratch.way[W_AT] = r, v, i
-    scratch.way[W_DROP], scratch.way[W_DROP_AT] = w, j
+    scratch.way[W_FIRST], scratch.way[W_FIRST + 1] = w, j
 
 
 @compiled
@@ -346,7 +256,7 @@ def _ways_with_drop(
     before = i - 1 if new else i
     m = before + 1
     here, driven = v, 0.0  # the stop before m, and alpha to it from where the sample is taken
-    leg = _onward(case, state, r, i, v) if new else state.cum[r, m] - state.cum[r, i]
+    leg = onward(case, state, r, i, v) if new else state.cum[r, m] - state.cum[r, i]
     while state.depart[r, m - 1] < case.capacity[r]:
         limit = _new_drops(case, state, scratch, r, v, i, m, here, leg, driven, detour_j, limit)
         if m >= state.unload[r, before] or state.arrive[r, m] >= case.capacity[r]:
@@ -384,7 +294,7 @@ def _new_drops(
         if state.pos[r, w] >= 0 or w == v or case.depot[r, w]:
             continue
         there = case.cost[r, here, w]
-        energy_j = detour_j + (there + _onward(case, state, r, m, w) - leg) * mass_kg
+        energy_j = detour_j + (there + onward(case, state, r, m, w) - leg) * mass_kg
         energy_j += case.sample_mass_kg * (driven + there)
         limit = _with_drop(case, state, scratch, r, v, i, w, m, m - 1, energy_j, limit)
     return limit
@@ -394,31 +304,27 @@ def _new_drops(
 def insert(case: Case, state: State, scratch: Scratch) -> bool:
     """Put in ``scratch.sample`` by the way ``scratch.best``; return False where that breaks a rule."""
     way, kind = scratch.best, scratch.sample[0]
-    r, v, w, drops = way[W_ROBOT], way[W_NODE], way[W_DROP], way[W_DROPS]
-    if drops > 0 and w != v and state.pos[r, w] < 0:
-        insert_stop(case, state, r, way[W_DROP_AT], w)
-    if state.pos[r, v] < 0:
-        insert_stop(case, state, r, way[W_AT], v)
+    r, v, drops = way[W_ROBOT], way[W_NODE], way[W_DROPS]
     row = state.samples[state.size[0]]
     state.size[0] += 1
     row[KIND], row[NODE], row[ROBOT], row[PILE], row[HOPS] = kind, v, r, scratch.sample[3], drops
-    if drops > 0:
-        row[FIRST_HOP], row[FIRST_HOP + 1] = w, way[W_BY]
-        if state.pos[way[W_BY], w] < 0:
-            insert_stop(case, state, way[W_BY], way[W_BY_AT], w)
-    if drops > 1:
-        row[FIRST_HOP + 2], row[FIRST_HOP + 3] = way[W_NEXT], way[W_LAST]
-        if state.pos[way[W_LAST], way[W_NEXT]] < 0:
-            insert_stop(case, state, way[W_LAST], way[W_LAST_AT], way[W_NEXT])
+    for h in range(drops - 1, -1, -1):  # from the last stop to the first, so that indices stay what they are
+        at = W_FIRST + W_WIDTH * h
+        w, receiver, giver = way[at], way[at + 2], way[at - 2] if h > 0 else r
+        row[FIRST_HOP + 2 * h], row[FIRST_HOP + 2 * h + 1] = w, receiver
+        if state.pos[receiver, w] < 0:
+            insert_stop(case, state, receiver, way[at + 3], w)
+        if state.pos[giver, w] < 0:
+            insert_stop(case, state, giver, way[at + 1], w)
+    if state.pos[r, v] < 0:
+        insert_stop(case, state, r, way[W_AT], v)
     count(state, row, 1)
-    scratch.changed[r] = True
-    for h in range(drops):
-        scratch.changed[row[FIRST_HOP + 2 * h + 1]] = True
     if kind == COLLECTED:
         learn(case, state, case.candidate[v], case.precision[r])
     good = derive(case, state, r)
-    if drops > 0:
-        good = good and derive(case, state, way[W_BY])
-    if drops > 1:
-        good = good and derive(case, state, way[W_LAST])
+    scratch.changed[r] = True
+    for h in range(drops):
+        receiver = row[FIRST_HOP + 2 * h + 1]
+        scratch.changed[receiver] = True
+        good = good and derive(case, state, receiver)
     return good and order(state)

@@ -2,7 +2,7 @@
 
 Design: samples with custody chains, taken out and put in again greedily, the next one always the one with the
 most gain in J for a power of the energy it costs. What is drawn anew in every iteration: that power, what a
-joule of each robot counts, where new drops are tried, noise on the gains, and whether relays are looked for.
+joule of each robot counts, where new drops are tried, noise on the gains, and whether several drops are.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import numpy as np
 from malipp_field.field import FloatArray
 from malipp_field.planner import (
     draft,
+    search_chain,
     search_depot,
     search_insert,
     search_refs,
@@ -25,6 +26,7 @@ from malipp_field.planner import (
 )
 from malipp_field.planner.draft import COLLECTED, ON_BOARD
 from malipp_field.planner.problem import IntArray
+from malipp_field.planner.search_chain import find_chain
 from malipp_field.planner.search_compile import compiled, spliced, stored
 from malipp_field.planner.search_depot import change_depots, unload_first
 from malipp_field.planner.search_insert import find_costs, find_way, insert
@@ -67,7 +69,7 @@ _AFRESH = 50
 _LEAST_POWER, _MOST_POWER = 0.1, 1.3
 _SHY, _SHY_ROBOTS = 0.3, 0.08
 """Share of a budget that counts against a way without a drop, and the chance that it does for a robot."""
-_NOISE, _BLINK, _RELAYS, _MOST_HUBS = 0.4, 0.02, 0.1, 0.7
+_NOISE, _BLINK, _CHAINS, _MOST_HUBS = 0.4, 0.02, 0.1, 0.7
 
 
 @compiled
@@ -81,7 +83,7 @@ def _draw(case: Case, scratch: Scratch) -> None:
     chance = uniform(scratch) * _MOST_HUBS
     for w in range(len(scratch.hub)):
         scratch.hub[w] = uniform(scratch) < chance
-    scratch.relays[0] = uniform(scratch) < _RELAYS
+    scratch.chains[0] = uniform(scratch) < _CHAINS
     scratch.blink[0] = _BLINK
 
 
@@ -114,9 +116,9 @@ def _find_next(case: Case, state: State, scratch: Scratch, power: float) -> bool
             continue
         limit = np.inf if best == 0.0 else (gain / best) ** (1.0 / power) - _SMALL_COST
         least = min(scratch.fetch[r, v], scratch.detour[r, v] + scratch.lowest[r])
-        if least >= limit:
-            continue
-        cost = find_way(case, state, scratch, r, v, limit)
+        cost = find_way(case, state, scratch, r, v, limit) if least < limit else limit
+        if scratch.chains[0] and scratch.detour[r, v] < cost:
+            cost = find_chain(case, state, scratch, r, v, cost)
         if cost < limit:
             best = gain / (_SMALL_COST + max(cost, 0.0)) ** power
             copy_of(scratch.best, scratch.way)
@@ -170,6 +172,8 @@ def _bring_one(case: Case, state: State, scratch: Scratch) -> bool:
     limit = np.inf
     for r in range(first, last + 1):
         cost = find_way(case, state, scratch, r, scratch.sample[1], limit)
+        if scratch.chains[0]:
+            cost = find_chain(case, state, scratch, r, scratch.sample[1], cost)
         if cost < limit:
             limit = cost
             copy_of(scratch.best, scratch.way)
@@ -281,7 +285,7 @@ def _begin(case: Case, state: State, scratch: Scratch, homeless: int) -> bool:
     if homeless == 0:
         return True
     _draw(case, scratch)
-    scratch.relays[0], scratch.blink[0] = True, 0.0
+    scratch.chains[0], scratch.blink[0] = True, 0.0
     for w in range(len(scratch.hub)):
         scratch.hub[w] = True
     unload_first(case, state, scratch)
@@ -293,7 +297,8 @@ def _stamp() -> int:
 
     Numba looks only at the file of the function it has stored; what that calls may lie in others.
     """
-    files = (draft, search_state, search_refs, search_routes, search_insert, search_depot, search_ruin)
+    rooms = search_state, search_refs, search_routes, search_insert, search_chain, search_depot, search_ruin
+    files = draft, *rooms
     texts = [Path(str(module.__file__)).read_bytes() for module in files]
     return zlib.crc32(b"".join([*texts, Path(__file__).read_bytes()]))
 

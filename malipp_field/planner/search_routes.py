@@ -291,6 +291,49 @@ def tidy(case: Case, state: State, r: int) -> None:
     set_terminal(case, state, r)
 
 
+# where a stop can be, and what it takes
+
+
+@compiled
+def places_of(case: Case, state: State, r: int, v: int) -> tuple[int, int]:
+    """Return the first and the last index at which a robot can stop at a node: its stop, or a new one."""
+    if not case.place[r, v]:
+        return 1, 0
+    at = state.pos[r, v]
+    return (at, at) if at >= 0 else (1, state.length[r] - 1)
+
+
+@compiled
+def onward(case: Case, state: State, r: int, i: int, v: int) -> float:
+    """Return alpha from v as a new stop i to the stop after it."""
+    if i == state.length[r] - 1:
+        return float(case.home[r, v])
+    return float(case.cost[r, v, state.route[r, i]])
+
+
+@compiled
+def stop_energy_j(case: Case, state: State, r: int, i: int, v: int) -> float:
+    """Return the energy of a new stop i at v with what is on board there."""
+    before, after = state.route[r, i - 1], state.route[r, i]
+    alpha = case.cost[r, before, v] + onward(case, state, r, i, v) - case.cost[r, before, after]
+    return float(alpha * (case.mass_kg[r] + case.sample_mass_kg * state.depart[r, i - 1]))
+
+
+@compiled
+def may_pass(case: Case, state: State, r: int, i: int, v: int) -> bool:
+    """Tell whether v may be new stop i: what is unloaded at a depot must not have to be dropped later."""
+    return not case.depot[r, v] or may_unload(state, r, i)
+
+
+@compiled
+def may_unload(state: State, r: int, i: int) -> bool:
+    """Tell whether nothing on board before stop i is to be dropped before it is unloaded anyhow."""
+    k, end = i, state.unload[r, i - 1]
+    while k < end and state.give[r, state.route[r, k]] <= 0:
+        k += 1
+    return bool(k >= end)
+
+
 # information
 
 

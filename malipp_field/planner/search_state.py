@@ -19,8 +19,14 @@ BoolArray = NDArray[np.bool_]
 
 KIND, NODE, ROBOT, PILE, HOPS, FIRST_HOP = 0, 1, 2, 3, 4, 5
 """Columns of `State.samples`; from ``FIRST_HOP`` on, node and receiver of each drop."""
-LEAST_HOPS = 2
-"""Drops a sample's row has room for at least: the search itself goes as far as one relay."""
+MOST_DROPS = 3
+"""Drops of one sample that the search makes: there, back, and there again."""
+LEAST_HOPS = MOST_DROPS
+"""Drops a sample's row has room for at least."""
+W_ROBOT, W_NODE, W_AT, W_DROPS, W_FIRST = range(5)
+"""Columns of a way: who takes the sample where, before which stop; number of drops; from ``W_FIRST`` on, for
+each drop, its node, before which stop of the giver it is, who fetches it, and before which stop."""
+W_WIDTH = 4
 _SLACK, _SLACK_J = 5e-10, 5e-13
 """Half of what `within` forgives, so that no sum in another order is judged otherwise."""
 
@@ -155,22 +161,24 @@ class Scratch(NamedTuple):
         Least cost for a robot to fetch one sample at a node and bring it to its next unloading stop.
     detour : array, shape (R, N)
         Least cost for a robot to stop at a node.
-    onward : array, shape (R, N)
-        The same as ``fetch`` with one more drop on the way allowed.
     least : array, shape (R, N); lowest : array, shape (R,)
-        Least ``onward`` cost of a partner for what a robot leaves at a node, and anywhere: bounds that prune.
+        Least ``fetch`` cost of a partner for what a robot leaves at a node, and anywhere: bounds that prune.
     changed : array, shape (R,)
         Robots whose ``fetch`` costs are to be found anew.
     gain : array, shape (R, N)
         What one more sample of a robot at a node is taken to gain in this step, noise included.
     hub : array, shape (N,)
         Nodes at which new stops for a drop are tried in this iteration.
-    way, best : array, shape (11,)
+    way, best : array, shape (W_FIRST + W_WIDTH * MOST_DROPS,)
         The insertion looked at, and the best so far.
+    labels : array, shape (MOST_DROPS, R, N, 4); trails : array, shape (MOST_DROPS, R, N, 6)
+        Labels of the search for chains of drops (`search_chain`), and how each came about.
+    trail : array, shape (6,); given : array, shape (1,)
+        How the label looked at came about, and the energy of the giver's part.
     sample : array, shape (4,)
         Kind, node, robot and stock of the sample to be inserted.
-    relays : array, shape (1,)
-        Whether a second drop is looked for in this iteration.
+    chains : array, shape (1,)
+        Whether more than one drop of a sample is looked for in this iteration.
     blink : array, shape (1,)
         Chance that a place in a route is overlooked.
     homeless : array, shape (S, 4)
@@ -185,7 +193,6 @@ class Scratch(NamedTuple):
     shy: FloatArray
     fetch: FloatArray
     detour: FloatArray
-    onward: FloatArray
     least: FloatArray
     lowest: FloatArray
     changed: BoolArray
@@ -193,8 +200,12 @@ class Scratch(NamedTuple):
     hub: BoolArray
     way: IntArray
     best: IntArray
+    labels: FloatArray
+    trails: IntArray
+    trail: IntArray
+    given: FloatArray
     sample: IntArray
-    relays: BoolArray
+    chains: BoolArray
     blink: FloatArray
     homeless: IntArray
     key: FloatArray
@@ -267,14 +278,18 @@ def state_for(case: Case, samples: int, hops: int) -> State:
 def scratch_for(case: Case, samples: int, seed: int) -> Scratch:
     """Return working arrays for a search."""
     robots, n = case.place.shape
+    way = W_FIRST + W_WIDTH * MOST_DROPS
     return Scratch(
         weight=np.ones(robots), shy=np.zeros(robots), fetch=np.zeros((robots, n)),
-        detour=np.zeros((robots, n)), onward=np.zeros((robots, n)), least=np.zeros((robots, n)),
+        detour=np.zeros((robots, n)), least=np.zeros((robots, n)),
         lowest=np.zeros(robots),
         changed=np.ones(robots, dtype=np.bool_), gain=np.zeros((robots, n)), hub=np.ones(n, dtype=np.bool_),
-        way=np.zeros(11, dtype=np.int64), best=np.zeros(11, dtype=np.int64),
+        way=np.zeros(way, dtype=np.int64), best=np.zeros(way, dtype=np.int64),
+        labels=np.zeros((MOST_DROPS, robots, n, 4)), given=np.zeros(1),
+        trails=np.zeros((MOST_DROPS, robots, n, 6), dtype=np.int64),
+        trail=np.zeros(6, dtype=np.int64),
         sample=np.zeros(4, dtype=np.int64),
-        relays=np.zeros(1, dtype=np.bool_), blink=np.zeros(1),
+        chains=np.zeros(1, dtype=np.bool_), blink=np.zeros(1),
         homeless=np.zeros((samples, 4), dtype=np.int64),
         key=np.zeros(samples), rng=np.full(1, seed % 2**64, dtype=np.uint64),
     )  # fmt: skip
