@@ -143,9 +143,11 @@ class Autopilot:
         return self.armed
 
     def disarm(self) -> None:
-        """Disarm: the motors stop wherever the rover is."""
+        """Disarm: the motors stop wherever the rover is. Outside AUTO the mission begins anew after that."""
         if self.armed:
             self.armed = False
+            if self.mode != mavlink.ROVER_MODE_AUTO:
+                self.run.reset()
             self.say(mavlink.MAV_SEVERITY_INFO, "Throttle disarmed")
 
     def set_mode(self, mode: int) -> bool:

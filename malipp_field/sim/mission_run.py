@@ -45,8 +45,7 @@ class MissionRun:
         self._store = store
         self._begin = begin
         self._completed = completed
-        self._enter(RunState.STOPPED)
-        self._load(None)
+        self.reset()
 
     @property
     def seq(self) -> int:
@@ -68,6 +67,11 @@ class MissionRun:
         """Leave off at the active item (on leaving AUTO)."""
         if self.state is RunState.RUNNING:
             self._enter(RunState.STOPPED)
+
+    def reset(self) -> None:
+        """Forget how far the mission has come (on disarming outside AUTO)."""
+        self._enter(RunState.STOPPED)
+        self._load(None)
 
     def item_ended(self) -> None:
         """Go on to the next item in store."""

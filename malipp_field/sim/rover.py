@@ -19,12 +19,15 @@ Peer = Hashable
 """Where a message came from and an answer goes to: a UDP address, or whatever carries the messages."""
 
 COMPONENT_ID = mavlink.MAV_COMP_ID_AUTOPILOT1
-_FORCE = 21196.0  # param 2 of MAV_CMD_COMPONENT_ARM_DISARM: whatever the checks say
+_FORCE_ARM = 2989.0  # param 2 of MAV_CMD_COMPONENT_ARM_DISARM; ArduPilot takes MAVLink's 21196 to disarm only
 _ON, _OFF = 1.0, 0.0
 
 
 class Rover:
     """A rover and its radio, without the wires.
+
+    It has no file transfer, like ArduPilot on boards without room for it (AUTOPILOT_VERSION says so): ground
+    stations fall back to the protocols for missions and parameters.
 
     Parameters
     ----------
@@ -109,8 +112,7 @@ class Rover:
         if kind in {"COMMAND_LONG", "COMMAND_INT"}:
             answers = self._command(message, sender, now_s)
         elif kind == "MISSION_SET_CURRENT":
-            self.autopilot.set_current(message.seq, reset=False)
-            answers = []
+            answers = self._set_current(message.seq, now_s)
         elif kind.startswith("MISSION_"):
             answers = self._mission(message, sender, now_s)
         elif kind.startswith("PARAM_"):
@@ -136,6 +138,14 @@ class Rover:
         store = self._stores.get(getattr(message, "mission_type", mavlink.MAV_MISSION_TYPE_MISSION))
         return [] if store is None else store.receive(message, sender, now_s)
 
+    def _set_current(self, seq: int, now_s: float) -> list[Any]:
+        """Make an item current; the answer names just that one, even where another is current now."""
+        if not self.autopilot.set_current(seq, reset=False):
+            return []
+        answer: Any = self._telemetry.message(mavlink.MAVLINK_MSG_ID_MISSION_CURRENT, now_s)
+        answer.seq = seq
+        return [answer]
+
     def _command(self, message: Any, sender: Sender, now_s: float) -> list[Any]:
         result, more = self._carry_out(message, now_s)
         ack = mavlink.MAVLink_command_ack_message(
@@ -155,7 +165,7 @@ class Rover:
         done = True
         match message.command:
             case mavlink.MAV_CMD_COMPONENT_ARM_DISARM:
-                done = self._arm_or_disarm(p1, force=p2 == _FORCE)
+                done = self._arm_or_disarm(p1, force=p2 == _FORCE_ARM)
             case mavlink.MAV_CMD_DO_SET_MODE:
                 custom = int(p1) & mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
                 done = bool(custom) and autopilot.set_mode(int(p2))
@@ -168,6 +178,9 @@ class Rover:
             case mavlink.MAV_CMD_REQUEST_MESSAGE:
                 asked = self._telemetry.message(int(p1), now_s)
                 done, more = asked is not None, [] if asked is None else [asked]
+            case mavlink.MAV_CMD_GET_HOME_POSITION:
+                asked_for = (mavlink.MAVLINK_MSG_ID_HOME_POSITION, mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN)
+                more = [self._telemetry.message(message_id, now_s) for message_id in asked_for]
             case mavlink.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES:
                 more = [self._telemetry.message(mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION, now_s)]
             case mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN if p1 == _ON:

@@ -25,6 +25,8 @@ _ALL_SENSORS = (
     | mavlink.MAV_SYS_STATUS_SENSOR_BATTERY
     | mavlink.MAV_SYS_STATUS_PREARM_CHECK
 )
+_HEALTHY = _ALL_SENSORS | mavlink.MAV_SYS_STATUS_GEOFENCE
+"""A fence that is not breached is healthy, even where there is none; ground stations report a breach else."""
 _EKF_FROM_BOOT = (
     mavlink.EKF_ATTITUDE | mavlink.EKF_VELOCITY_HORIZ | mavlink.EKF_VELOCITY_VERT | mavlink.EKF_POS_VERT_ABS
 )
@@ -172,7 +174,7 @@ class Telemetry:
     def _sys_status(self, _: float) -> Any:
         # PREARM_CHECK is healthy before the position estimate is: not to be relied upon, as on a real one.
         return mavlink.MAVLink_sys_status_message(
-            _ALL_SENSORS, _ALL_SENSORS, _ALL_SENSORS, 100, round(NOMINAL_V * 1000.0), -1,
+            _ALL_SENSORS, _ALL_SENSORS, _HEALTHY, 100, round(NOMINAL_V * 1000.0), -1,
             self._percent(), 0, 0, 0, 0, 0, 0,
         )  # fmt: skip
 

@@ -364,6 +364,23 @@ def distance_left_m(ground: Ground) -> float:
     return math.dist(ground.rover.autopilot.position, (100.0, 0.0))
 
 
+def test_disarming_outside_auto_begins_the_mission_anew() -> None:
+    ground = ground_for(site())
+    world = ground.rover.world
+    ground.start([waypoint(world, "a"), waypoint(world, "b"), waypoint(world, "base")])
+    ground.wait(60.0)
+    assert ground.rover.autopilot.run.seq == 2
+    ground.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0.0)
+    assert of(ground.wait(1.1), "MISSION_CURRENT")[-1].seq == 2  # in AUTO it keeps its place
+    ground.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1.0)
+    ground.mode(mavlink.ROVER_MODE_HOLD)
+    ground.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0.0)
+    assert of(ground.wait(1.1), "MISSION_CURRENT")[-1].seq == 0
+    ground.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1.0)
+    ground.mode(mavlink.ROVER_MODE_AUTO)
+    assert of(ground.wait(1.1), "MISSION_CURRENT")[-1].seq == 1
+
+
 def test_hold_and_disarm_stop_the_rover_and_it_goes_on_from_there() -> None:
     ground = ground_for(site())
     ground.start([waypoint(ground.rover.world, "a")])

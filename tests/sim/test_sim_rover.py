@@ -68,7 +68,18 @@ def test_arming_may_be_forced_and_the_delay_configured() -> None:
     slow = ground_for(site(), config=RoverConfig(ready_after_s=40.0))
     slow.wait(30.0)
     assert slow.command(ARM, 1.0) == FAILED
-    assert slow.command(ARM, 1.0, 21196.0) == ACCEPTED
+    assert slow.command(ARM, 1.0, 21196.0) == FAILED  # forces disarming only
+    assert slow.command(ARM, 1.0, 2989.0) == ACCEPTED
+
+
+def test_home_is_told_to_whoever_asks_and_no_fence_is_breached(ground: Ground) -> None:
+    answers = ground.send(
+        mavlink.MAVLink_command_long_message(1, 0, mavlink.MAV_CMD_GET_HOME_POSITION, 0, *[0.0] * 7)
+    )
+    assert of(answers, "COMMAND_ACK")[0].result == ACCEPTED
+    assert of(answers, "HOME_POSITION")[0].latitude == of(answers, "GPS_GLOBAL_ORIGIN")[0].latitude
+    status = of(ground.wait(1.1), "SYS_STATUS")[0]
+    assert status.onboard_control_sensors_health & mavlink.MAV_SYS_STATUS_GEOFENCE
 
 
 def test_auto_needs_a_mission(ground: Ground) -> None:
@@ -187,6 +198,13 @@ def test_the_downloaded_mission_marks_the_current_item(ground: Ground) -> None:
     ground.upload(some_items(ground))
     ground.command(SET_CURRENT, 2.0)
     assert [m.current for m in ground.download()] == [0, 0, 1, 0]
+
+
+def test_the_old_way_to_make_an_item_current_is_answered_with_its_number(ground: Ground) -> None:
+    ground.upload(some_items(ground))
+    home_first = mavlink.MAVLink_mission_set_current_message(1, 1, 0)
+    assert [m.seq for m in of(ground.send(home_first), "MISSION_CURRENT")] == [0, 1]
+    assert of(ground.send(mavlink.MAVLink_mission_set_current_message(1, 1, 9)), "MISSION_CURRENT") == []
 
 
 def test_reset_before_auto_was_ever_entered_blocks_arming(ground: Ground) -> None:
