@@ -18,6 +18,9 @@ help:  ## this list
 	@# Without --no-compile pip spends half of the time on byte code that is never run.
 	@$(BIN)/python -m pip install --no-compile --progress-bar off --disable-pip-version-check \
 		--constraint constraints.txt --editable '.[dev]' | sed -nE 's/^Collecting ([^ ]+).*/  \1/p'
+	@# Without its dependencies: for the tests it needs none but ours, and its map views would bring 750 MB.
+	@$(BIN)/python -m pip install --no-compile --progress-bar off --disable-pip-version-check \
+		--constraint constraints.txt --no-deps mavproxy | sed -nE 's/^Collecting ([^ ]+).*/  \1/p'
 	@# This also stores the byte code of all that planning imports, wherever that has been switched off.
 	@PYTHONDONTWRITEBYTECODE= $(BIN)/python -m malipp_field.planner.warm
 	@touch $@
