@@ -8,22 +8,30 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Awaitable, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import asynccontextmanager
+from pathlib import Path
 from typing import Any
 
 import pytest
+from flight_cases import Assignment, Done, assert_flown, beside, fly
 from mavsdk.asyncio import ComponentType, Configuration, Mavsdk, System
+from mavsdk.asyncio.plugins.action import ActionAsync
 from mavsdk.asyncio.plugins.mission_raw import MissionRawAsync, MissionRawError
+from mavsdk.asyncio.plugins.telemetry import TelemetryAsync
 from mavsdk.plugins.mission_raw import MissionItem as RawItem
 from mavsdk.plugins.mission_raw import MissionRawResult
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from sim_cases import action, numbered, site, waypoint
 
 from malipp_field.clock import WallClock
+from malipp_field.link.compare import differences
 from malipp_field.sim import Fleet, RoverConfig
 from malipp_field.sim.mission_store import Sender
 from malipp_field.vehicle.items import MissionItem
-from malipp_field.vehicle.steps import Action
+from malipp_field.vehicle.layout import lay_out
+from malipp_field.vehicle.payload_protocol import parse_confirmation
+from malipp_field.vehicle.steps import Action, Step
 
 FOUND_WITHIN_S = 15.0
 LIMIT_S = 60.0
@@ -141,3 +149,71 @@ def test_mavsdk_starts_the_mission_and_follows_it() -> None:
         assert 0.0 < math.dist(pilot.position, (0.0, 0.0)) < 100.0
 
     run(scenario)
+
+
+class Station:
+    """MAVSDK with one vehicle and its exported `.plan`."""
+
+    def __init__(self, told: Assignment, system: System) -> None:
+        self._told = told
+        self.raw, self.action = MissionRawAsync(system), ActionAsync(system)
+        self.telemetry = TelemetryAsync(system)
+        self._confirmed: Done = set()
+
+    def confirmed(self) -> Done:
+        return set(self._confirmed)
+
+    async def upload(self) -> None:
+        imported = await self.raw.import_qgroundcontrol_mission(str(self._told.file(".plan")))
+        await self.raw.upload_mission(imported.mission_items)
+        await self.raw.upload_geofence(imported.geofence_items)
+        await self.raw.upload_rally_points(imported.rally_items)
+        # Reading back is also how MAVSDK learns which items may be made current.
+        back = [as_item(item) for item in await self.raw.download_mission()]
+        assert differences(lay_out(self._told.vehicle).items, back) == []
+        fence, rally = await self.raw.download_geofence(), await self.raw.download_rallypoints()
+        assert [as_item(item)[-3:-1] for item in fence] == [
+            as_item(item)[-3:-1] for item in imported.geofence_items
+        ]
+        assert (len(fence), len(rally)) == (3, 1)
+
+    async def start(self) -> None:
+        await self.action.arm()
+        await self.raw.start_mission()
+
+    async def release(self, gate: Step, item: int) -> bool:
+        await self.raw.set_current_mission_item(item)
+        return True
+
+    async def listen(self) -> None:
+        async for said in self.telemetry.subscribe_status_text():
+            report = parse_confirmation(said.text)
+            if report is not None and report.ok:
+                self._confirmed.add((report.action, report.tag))
+
+    def destroy(self) -> None:
+        for plugin in (self.raw, self.action, self.telemetry):
+            plugin.destroy()
+
+
+@asynccontextmanager
+async def station(told: Assignment) -> AsyncIterator[Station]:
+    host, port = told.endpoint
+    async with Mavsdk(Configuration.create_with_component_type(ComponentType.GROUND_STATION)) as sdk:
+        await sdk.add_any_connection(f"udpout://{host}:{port}")
+        system = await sdk.first_autopilot(timeout_s=FOUND_WITHIN_S)
+        assert system is not None
+        client = Station(told, system)
+        try:
+            async with beside(client.listen()):
+                yield client
+        finally:
+            client.destroy()
+
+
+def as_item(raw: Any) -> MissionItem:
+    return MissionItem(*(getattr(raw, name) for name in MissionItem._fields))
+
+
+def test_mavsdk_uploads_the_exported_plans_and_sees_them_through(tmp_path: Path) -> None:
+    assert_flown(fly(station, "plan", tmp_path))

@@ -1,0 +1,123 @@
+"""MAVProxy as a program of its own, driven as by a person at its prompt."""
+
+from __future__ import annotations
+
+import asyncio
+import importlib.util
+import os
+import re
+import signal
+import sys
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager, suppress
+
+import pytest
+from flight_cases import Assignment, Done
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+from pymavlink.mavwp import MAVWPLoader
+
+from malipp_field.link.compare import differences
+from malipp_field.vehicle.items import WITH_PLACE, MissionItem, degrees_e7
+from malipp_field.vehicle.layout import lay_out
+from malipp_field.vehicle.payload_protocol import parse_confirmation
+from malipp_field.vehicle.steps import Step
+
+_SAID_BY_VEHICLE = re.compile(r"AP: (.*)")
+
+
+class MavProxy:
+    """MAVProxy with one vehicle: what it prints, and what is typed."""
+
+    def __init__(self, told: Assignment, process: asyncio.subprocess.Process) -> None:
+        self._told = told
+        self._process = process
+        self._news = asyncio.Event()
+        self._confirmed: Done = set()
+        self.lines: list[str] = []
+
+    @property
+    def group(self) -> int:
+        """The process group of MAVProxy and of what it starts."""
+        return self._process.pid
+
+    def confirmed(self) -> Done:
+        return set(self._confirmed)
+
+    async def upload(self) -> None:
+        await self.heard("online system")
+        file = self._told.file(".waypoints")
+        await self.type(f"wp load {file}", answer="Got MISSION_ACK: TYPE_MISSION: ACCEPTED")
+        back = file.with_suffix(".back")
+        await self.type(f"wp save {back}", answer=f"waypoints to {back}")
+        loader = MAVWPLoader()
+        loader.load(str(back))
+        read_back = [_item(loader.wp(seq)) for seq in range(loader.count())]
+        assert differences(lay_out(self._told.vehicle).items, read_back) == []
+
+    async def start(self) -> None:
+        await self.type("arm throttle", answer="AP: Throttle armed")
+        await self.type("mode auto", answer="Mode AUTO")
+
+    async def release(self, gate: Step, item: int) -> bool:
+        await self.type(f"wp set {item}", answer="Got COMMAND_ACK: DO_SET_MISSION_CURRENT: ACCEPTED")
+        return True
+
+    async def type(self, command: str, answer: str) -> None:
+        """Type a command, and wait for what MAVProxy prints when it is done."""
+        before = len(self.lines)
+        assert self._process.stdin is not None
+        self._process.stdin.write(f"{command}\n".encode())
+        await self.heard(answer, before)
+
+    async def heard(self, text: str, since: int = 0) -> None:
+        """Wait for a line with that text."""
+        while not any(text in line for line in self.lines[since:]):
+            self._news.clear()
+            await self._news.wait()
+
+    async def read(self) -> None:
+        """Take in what MAVProxy prints, until it has ended."""
+        assert self._process.stdout is not None
+        async for data in self._process.stdout:
+            line = data.decode(errors="replace").rstrip()
+            self.lines.append(line)
+            said = _SAID_BY_VEHICLE.search(line)
+            report = parse_confirmation(said[1]) if said else None
+            if report is not None and report.ok:
+                self._confirmed.add((report.action, report.tag))
+            self._news.set()
+        self._news.set()
+
+
+@asynccontextmanager
+async def mavproxy(told: Assignment) -> AsyncIterator[MavProxy]:
+    """Run MAVProxy for one vehicle; it is gone afterwards, with all it started."""
+    if importlib.util.find_spec("MAVProxy") is None:
+        pytest.fail("MAVProxy is not installed; `make setup` installs it")
+    host, port = told.endpoint
+    process = await asyncio.create_subprocess_exec(
+        sys.executable, "-u", "-m", "MAVProxy.mavproxy", f"--master=udpout:{host}:{port}", "--no-state",
+        cwd=told.folder, env=os.environ | {"HOME": str(told.folder)}, start_new_session=True,
+        stdin=asyncio.subprocess.PIPE, stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.STDOUT,
+    )  # fmt: skip
+    client = MavProxy(told, process)
+    reading = asyncio.ensure_future(client.read())
+    try:
+        yield client
+    except BaseException:
+        print("\n".join(client.lines[-40:]))  # for whoever looks into the failure
+        raise
+    finally:
+        with suppress(ProcessLookupError):
+            os.killpg(client.group, signal.SIGKILL)
+        await asyncio.gather(reading, process.wait(), return_exceptions=True)
+
+
+def _item(row: mavlink.MAVLink_mission_item_message) -> MissionItem:
+    """Return a row of a waypoint file as an item."""
+    with_place = row.command in WITH_PLACE
+    x, y = (degrees_e7(row.x), degrees_e7(row.y)) if with_place else (int(row.x), int(row.y))
+    return MissionItem(
+        row.seq, row.frame, row.command, row.current, row.autocontinue,
+        row.param1, row.param2, row.param3, row.param4, x, y, row.z,
+    )  # fmt: skip

@@ -1,0 +1,37 @@
+"""MAVProxy, an operator's ground station, drives the exported missions to their end."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+from pathlib import Path
+
+import pytest
+from flight_cases import START_S, Assignment, assert_flown, corridor, fly
+from mavproxy_client import mavproxy
+
+from malipp_field.clock import SimClock
+from malipp_field.vehicle.compile import compile_plan
+
+
+def test_mavproxy_uploads_the_exported_missions_and_sees_them_through(tmp_path: Path) -> None:
+    assert_flown(fly(mavproxy, "wpl", tmp_path))
+
+
+def test_nothing_of_mavproxy_is_left_after_a_failure(tmp_path: Path) -> None:
+    mission, plan = corridor()
+    vehicle = compile_plan(mission, plan).missions["scout"]
+    nobody_there = ("127.0.0.1", 9)
+    told = Assignment(mission, vehicle, nobody_there, 1, tmp_path, SimClock(START_S))
+
+    async def fail() -> None:
+        async with mavproxy(told) as client:
+            groups.append(client.group)
+            await client.heard("Waiting for heartbeat")
+            raise ValueError("something else")
+
+    groups: list[int] = []
+    with pytest.raises(ValueError, match="something else"):
+        asyncio.run(fail())
+    with pytest.raises(ProcessLookupError):  # waited for as well as killed
+        os.kill(groups[0], 0)
