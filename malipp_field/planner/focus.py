@@ -25,7 +25,7 @@ from malipp_field.planner.problem import Problem
 from malipp_field.planner.search_kernel import CYCLE, DONE, IMPROVED, LONGER, Kernel
 from malipp_field.planner.search_state import LEAST_HOPS, load, mandatory_samples, unloaded
 
-_LEAST_TEAM, _MOST_TEAM = 4, 8
+_LEAST_TEAM, _MOST_TEAM = 3, 5
 """Robots of a group."""
 _FIRST_ITERATIONS, _MOST_ITERATIONS = 400, 12_800
 """Iterations of the first cooling of a group, and of the longest."""

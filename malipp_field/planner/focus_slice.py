@@ -18,7 +18,7 @@ from malipp_field.planner.draft import COLLECTED, ON_BOARD, STOCK, Draft, Sample
 from malipp_field.planner.problem import IntArray, Problem
 from malipp_field.planner.search_state import Case, case_of
 
-_MOST_NODES = 70
+_MOST_NODES = 45
 """Nodes of a group's problem, unless its plan has more already."""
 _POOL = 2
 """How many times as many candidates are looked at closely."""
@@ -26,6 +26,8 @@ _SMALL_DETOUR = 0.05
 """Added to the share of a budget that a detour takes, so that what is near does not win by itself."""
 _UNRELATED = 1e-8
 """Test points stay out whose variance no sample of the group lowers by more than this share of its prior."""
+_SMALLEST = 1e-6
+"""Directions in which the group tells less than this share of the most are left out of J."""
 
 
 @dataclass(frozen=True)
@@ -100,7 +102,7 @@ def cut(draft: Draft, team: Sequence[int], noise: np.random.Generator) -> Slice:
     kept = np.argsort(-score[places], kind="stable")[: max(_MOST_NODES, len(used))]
     nodes = np.sort(places[kept])
     chosen = [i for i, v in enumerate(sampled) if v in set(nodes.tolist())]
-    part = sliced(problem, team, nodes, _related(information, chosen))
+    part = sliced(problem, team, nodes, packed(_related(information, chosen)))
     return Slice(part, np.array(team), nodes, _fixed(case_of(part), shared, team, nodes), own)
 
 
@@ -182,6 +184,27 @@ def _related(information: Information, candidates: list[int]) -> Information:
     k_tv = information.k_tv[:, candidates]
     told = (k_tv**2).sum(axis=1) > _UNRELATED * np.diag(k_vv).max(initial=0.0) * information.k_tt
     return Information(k_vv, k_tv[told], information.k_tt[told], information.weights[told])
+
+
+def packed(information: Information) -> Information:
+    """Return the same J by fewer test points, as many as there are candidates at most.
+
+    Samples change J through M = C_VT W C_TV alone: each lowers it by d M_vv / (1 + d C_vv), and changes C_TV
+    as it changes C_VV (docs/planning.md, section 2). So any factor L L^T = M may stand for the test points.
+    """
+    root = np.sqrt(information.weights)[:, None] * information.k_tv
+    if not root.size:
+        return information
+    size, vector = np.linalg.eigh(root.T @ root)
+    kept = size > _SMALLEST * size[-1]
+    count = max(1, int(kept.sum()))
+    factor = vector[:, -count:] * np.sqrt(np.maximum(size[-count:], 0.0))
+    return Information(
+        k_vv=information.k_vv,
+        k_tv=np.ascontiguousarray(factor.T),
+        k_tt=np.full(count, information.prior / count),
+        weights=np.ones(count),
+    )
 
 
 def _fixed(case: Case, shared: list[Sample], team: Sequence[int], nodes: IntArray) -> Case:

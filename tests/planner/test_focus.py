@@ -16,13 +16,15 @@ from malipp_field.planner import focus, verify
 from malipp_field.planner.draft import COLLECTED, Draft, draft_of, handlers
 from malipp_field.planner.extract import TeamPlan, Verdict, plan_file, team_plan
 from malipp_field.planner.focus import Focus
-from malipp_field.planner.focus_slice import cut, given
+from malipp_field.planner.focus_slice import cut, given, packed
 from malipp_field.planner.improve import Improver
 from malipp_field.planner.linear import Effort
 from malipp_field.planner.problem import Problem, build_problem
 from malipp_field.planner.search_kernel import Kernel
 from malipp_field.planner.search_state import load
 
+NO_WAY_HOME: frozenset[int] = frozenset()
+"""Seeds whose robots cannot bring home what they have: no plan is found."""
 FOREVER = Effort(deadline=math.inf)
 
 
@@ -57,6 +59,7 @@ def test_rounds_are_verified_and_never_worse(seed: int) -> None:
     problem = build_problem(mission, state, handoffs=seed % 7 != 0)
     search = Focus(problem, seed, 2)
     team = search.construct()
+    assert (team is None) == (seed in NO_WAY_HOME)
     if team is None:
         return
     for found in islice(search.rounds(verified(mission, problem, team, state), FOREVER), 6):
@@ -69,8 +72,7 @@ def test_what_a_group_does_for_others_stays(seed: int) -> None:
     mission, state = case(seed, energy_budget_j=40.0)
     problem = build_problem(mission, state)
     team = good_plan(problem, seed)
-    if team is None:
-        return
+    assert team is not None
     draft = draft_of(problem, team)
     for group in ([0, 1], [2, 3], [0, 3], [1, 2]):
         shared = [s for s in draft.samples if len(handlers(s) & set(group)) and not handlers(s) <= set(group)]
@@ -162,6 +164,52 @@ def test_j_given_what_others_gain_is_j() -> None:
     left_out = information.value(outside) - part.prior
     assert part.value(more) + left_out == pytest.approx(information.value(both), rel=1e-9)
     assert information.value(both) == pytest.approx(information.value_and_gradient(both)[0], rel=1e-12)
+
+
+@pytest.mark.parametrize("test_points", ["random", "candidates"])
+def test_fewer_test_points_say_the_same_of_j(test_points: Any) -> None:
+    mission = build(Specification(4, 14, seed=3, test_points=test_points), 30.0)
+    information = build_problem(mission).information
+    some = np.arange(0, 14, 2)
+    part = given(information, np.zeros(14), some)
+    few = packed(part)
+    assert len(few.weights) <= len(some) < len(part.weights)
+    assert few.prior == pytest.approx(part.prior, rel=1e-12)
+    rng = np.random.default_rng(0)
+    for _ in range(5):
+        precision = rng.uniform(0.0, 40.0, len(some)) * (rng.uniform(size=len(some)) < 0.6)
+        value, gradient = part.value_and_gradient(precision)
+        assert few.value(precision) == pytest.approx(value, rel=1e-5)
+        assert few.value_and_gradient(precision)[1] == pytest.approx(gradient, rel=1e-3, abs=1e-4)
+
+
+def test_nothing_to_tell_can_be_told_in_fewer_points() -> None:
+    information = build_problem(build(Specification(4, 14, seed=3), 30.0)).information
+    none = given(information, np.zeros(14), np.zeros(0, dtype=np.int64))
+    assert packed(none).prior == none.prior
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_robots_that_cannot_reach_each_other_are_planned_together(seed: int) -> None:
+    """Two halves of a site that no edge joins: distances between their robots are infinite."""
+    text = build(Specification(4, 12, seed=seed), 40.0).model_dump(mode="json", by_alias=True)
+    half = {node["id"]: i % 2 for i, node in enumerate(text["site"]["nodes"])}
+    text["site"]["nodes"].append({**text["site"]["nodes"][0], "id": "d1", "role": "depot"})
+    half |= {"d0": 0, "d1": 1}
+    text["site"]["edges"] = [{"from": u, "to": v} for u in half for v in half if u < v and half[u] == half[v]]
+    for r, robot in enumerate(text["team"]["robots"]):
+        robot["start"] = f"d{r // 2}"
+        robot["depots"] = [f"d{r // 2}"]
+    mission = Mission.model_validate(text)
+    problem = build_problem(mission)
+    search = Focus(problem, seed, 1)
+    team = search.construct()
+    assert team is not None
+    for found in islice(search.rounds(team, FOREVER), 6):
+        assert found.rank <= team.rank
+        team = verified(mission, problem, found, initial_state(mission))
+    sampled = {problem.nodes[v.node] for route in team.routes for v in route if v.collect}
+    assert {half[node] for node in sampled} == {0, 1}
 
 
 def test_an_idle_team_goes_home() -> None:
