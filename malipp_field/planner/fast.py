@@ -14,9 +14,10 @@ from malipp_field.planner.choice import is_small
 from malipp_field.planner.exact import solve_exact
 from malipp_field.planner.extract import TeamPlan
 from malipp_field.planner.focus import Focus
+from malipp_field.planner.polish import polished
 from malipp_field.planner.problem import Problem
 from malipp_field.planner.progress import Result, Search
-from malipp_field.planner.repair import first_plan
+from malipp_field.planner.repair import first_plan, settled
 from malipp_field.planner.schedules import MOST_PLACES
 from malipp_field.planner.walks import Walks, cores
 
@@ -59,6 +60,7 @@ def solve_fast(problem: Problem, search: Search, start: TeamPlan | None = None) 
     most = min(search.work or _FIRST_ROUNDS, _FIRST_ROUNDS) if small else search.work
     best = _searched(searcher, _part(search, share if proving else _ALL_SHARE), start, bound, most)
     if not proving:
+        best = polished(problem, best, search.effort)
         return Result(best, min(bound, best.information), proven=False)
     result = solve_exact(problem, search, best, walks=int(small), arcs=small)
     return replace(result, bound=max(result.bound, bound))
@@ -84,8 +86,10 @@ def _searcher(problem: Problem, search: Search) -> Walks | Focus:
 
 def _begun(problem: Problem, search: Search, searcher: Walks | Focus) -> Result:
     """Return a plan to begin with, or the proof that there is none."""
-    team = searcher.construct() if isinstance(searcher, Focus) else None
-    return first_plan(problem, None, search) if team is None else Result(team, 0.0, proven=False)
+    if not isinstance(searcher, Focus):
+        return first_plan(problem, None, search)
+    team = searcher.construct()
+    return settled(problem, search) if team is None else Result(team, 0.0, proven=False)
 
 
 def _searched(

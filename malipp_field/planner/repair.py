@@ -56,7 +56,7 @@ def first_plan(problem: Problem, advice: Plan | None, search: Search) -> Result:
         team = repaired(problem, advice, search.seed)
     if team is not None:
         return Result(team, 0.0, proven=False)
-    return _settled(problem, search)
+    return settled(problem, search)
 
 
 def repaired(problem: Problem, advice: Plan, seed: int) -> TeamPlan | None:
@@ -176,7 +176,7 @@ def _to_be_brought(samples: list[Sample]) -> list[Sample]:
     ]
 
 
-def _settled(problem: Problem, search: Search) -> Result:
+def settled(problem: Problem, search: Search) -> Result:
     """Return a plan in which nobody samples, or the proof that there is none."""
     for asked in (replace(problem, handoffs=False), problem) if problem.handoffs else (problem,):
         team, impossible = plan_of_precision(asked, search, problem.gained)
