@@ -18,6 +18,7 @@ from malipp_field.planner.problem import Problem
 from malipp_field.planner.search_kernel import CYCLE, DONE, IMPROVED, LONGER, Kernel
 from malipp_field.planner.search_state import (
     LEAST_HOPS,
+    Case,
     case_of,
     load,
     mandatory_samples,
@@ -39,11 +40,16 @@ class Improver:
 
     The search goes on where the last call left it: its plan, its temperature and its random numbers are
     kept, so that many small calls are as good as a large one.
+
+    Parameters
+    ----------
+    case
+        The problem as arrays, where others that search it have them already: nothing of it is changed.
     """
 
-    def __init__(self, problem: Problem, seed: int) -> None:
+    def __init__(self, problem: Problem, seed: int, case: Case | None = None) -> None:
         self.problem = problem
-        self._case = case_of(problem)
+        self._case = case_of(problem) if case is None else case
         self._samples = most_samples(problem, self._case)
         self._seed = random.Random(seed).getrandbits(64)  # noqa: S311 (a search, not a secret)
         self._kernel, self._hops = self._new_kernel(LEAST_HOPS), LEAST_HOPS

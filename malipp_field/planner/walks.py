@@ -15,6 +15,7 @@ from malipp_field.planner.extract import TeamPlan
 from malipp_field.planner.improve import Improver
 from malipp_field.planner.linear import Effort
 from malipp_field.planner.problem import Problem
+from malipp_field.planner.search_state import case_of
 
 _FIRST_ROUND = 1_000
 """Iterations of each walk in the first round."""
@@ -37,7 +38,8 @@ class Walks:
     """Walks of one problem, reproducible for a seed and a number of walks."""
 
     def __init__(self, problem: Problem, seed: int, many: int) -> None:
-        self._improvers = [Improver(problem, seed + k) for k in range(many)]
+        case = case_of(problem)
+        self._improvers = [Improver(problem, seed + k, case) for k in range(many)]
 
     def rounds(self, start: TeamPlan, effort: Effort) -> Iterator[TeamPlan]:
         """Yield the best plan after every round, for as long as the effort lasts."""
