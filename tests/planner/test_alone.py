@@ -9,9 +9,10 @@ from random_missions import part_way, tiny_mission
 from team_cases import search
 
 from malipp_field.mission import TeamState
-from malipp_field.planner import alone
+from malipp_field.planner import alone, sequential, verify
 from malipp_field.planner.alone import options_of, plan_alone
 from malipp_field.planner.exact import solve_arcs
+from malipp_field.planner.extract import Verdict, plan_file
 from malipp_field.planner.problem import Problem, build_problem
 from malipp_field.planner.sequential import solve_sequential
 
@@ -60,3 +61,25 @@ def test_without_room_for_the_listing_ruin_and_recreate_plans(monkeypatch: pytes
     assert listed is not None
     assert searched is not None
     assert searched.information == pytest.approx(listed.information, rel=1e-6)
+
+
+@pytest.mark.parametrize("block", range(3))
+def test_searched_plans_of_missions_part_way_are_verified(
+    block: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sequential, "options_of", lambda _: None)
+    planned = fetched = 0
+    for seed in range(700 + 8 * block, 708 + 8 * block):
+        mission = tiny_mission(seed, robots=3, candidates=5, energy_budget_j=40.0)
+        state = part_way(mission, seed)
+        problem = build_problem(mission, state, handoffs=False)
+        team = solve_sequential(problem, search())
+        if team is None:
+            continue
+        planned += 1
+        fetched += sum(bool(visit.fetch) for route in team.routes for visit in route)
+        plan = plan_file(mission.name, problem, team, Verdict("seq", "feasible", None, None, 0.0, 0, 1))
+        assert not verify(mission, plan, state)
+        assert team.information <= problem.information.value(problem.gained)
+    assert planned >= 4
+    assert fetched
