@@ -30,7 +30,7 @@ from malipp_field.link.exchange import MavMessage
 from malipp_field.link.orders import Order, Orders
 from malipp_field.link.progress import Progress
 from malipp_field.link.vehicle import Vehicle
-from malipp_field.vehicle.payload_protocol import ACK_NAME, PayloadReport, parse_confirmation
+from malipp_field.vehicle.payload_protocol import PayloadReport, ack_name, parse_confirmation
 
 HEARTBEAT_S = 1.0
 TELEMETRY_S = 0.2
@@ -229,7 +229,8 @@ class Agent:
             self._publish_confirmation(following)
             self._inbox.accept()
         boot_ms = int((self._clock.now_s() - self._began_s) * 1000.0) % 2**32
-        self._send(mavlink.MAVLink_named_value_int_message(boot_ms, ACK_NAME.encode(), self._inbox.heard))
+        name = ack_name(self.vehicle.address[0]).encode()
+        self._send(mavlink.MAVLink_named_value_int_message(boot_ms, name, self._inbox.heard))
 
     def _publish_confirmation(self, report: PayloadReport) -> None:
         step = self.progress.step_of(report)

@@ -13,7 +13,7 @@ from malipp_field.sim.mission_store import MissionStore, Sender
 from malipp_field.sim.params import Parameters
 from malipp_field.sim.telemetry import Telemetry
 from malipp_field.sim.world import World
-from malipp_field.vehicle.payload_protocol import ACK_NAME
+from malipp_field.vehicle.payload_protocol import ack_name
 
 Peer = Hashable
 """Where a message came from and an answer goes to: a UDP address, or whatever carries the messages."""
@@ -128,7 +128,7 @@ class Rover:
         """Handle what gets no answer; REQUEST_DATA_STREAM is heard, but all streams flow anyway."""
         if kind == "SET_MODE" and message.base_mode & mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED:
             self.autopilot.set_mode(message.custom_mode)
-        elif kind == "NAMED_VALUE_INT" and message.name == ACK_NAME:
+        elif kind == "NAMED_VALUE_INT" and message.name == ack_name(self.system_id):
             self.autopilot.script.acknowledge(message.value)
 
     def _mission(self, message: Any, sender: Sender, now_s: float) -> list[Any]:

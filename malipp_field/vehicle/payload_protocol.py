@@ -7,8 +7,9 @@ say from 1, without gaps since it was started, as STATUSTEXT (severity INFO) ::
     MLP <number> <action> <tag> missing|full|unknown
 
 and repeats each text every `REPEAT_S` seconds until the agent has acknowledged it by a NAMED_VALUE_INT called
-`ACK_NAME`, whose value is the highest number that has arrived in order. It reports the energy drawn since it
-was started (watt-hours) as NAMED_VALUE_FLOAT called `ENERGY_NAME`.
+`ack_name`, whose value is the highest number that has arrived in order; while many are unheard it may repeat
+only the first of them. It reports the energy drawn since it was started (watt-hours) as NAMED_VALUE_FLOAT
+called `ENERGY_NAME`.
 """
 
 from __future__ import annotations
@@ -20,7 +21,6 @@ from typing import Literal, cast
 
 from malipp_field.vehicle.steps import Action
 
-ACK_NAME = "MLP_ACK"
 ENERGY_NAME = "MLP_WH"
 REPEAT_S = 1.0
 JOULES_PER_WATT_HOUR = 3600.0
@@ -82,6 +82,14 @@ def parse_confirmation(text: str) -> PayloadReport | None:
     return PayloadReport(
         int(match["number"]), Action(match["action"]), int(match["tag"]), cast(Result, match["result"]), value
     )
+
+
+def ack_name(system_id: int) -> str:
+    """Return the name under which a vehicle is told what of it has arrived.
+
+    NAMED_VALUE_INT is addressed to nobody in particular, and vehicles share radios. A name has 10 characters.
+    """
+    return f"MLP_ACK{system_id}"
 
 
 def _finite(text: str | None) -> float | None:

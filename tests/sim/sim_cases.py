@@ -11,7 +11,7 @@ from malipp_field.mission import Mission, parse_mission
 from malipp_field.sim import Rover, RoverConfig, World
 from malipp_field.vehicle.items import MissionItem, degrees_e7
 from malipp_field.vehicle.layout import ACTION_CODES
-from malipp_field.vehicle.payload_protocol import ACK_NAME, PayloadReport, parse_confirmation
+from malipp_field.vehicle.payload_protocol import PayloadReport, ack_name, parse_confirmation
 from malipp_field.vehicle.steps import Action
 
 START_S = 1_700_000_000.0
@@ -137,8 +137,8 @@ class Ground:
             for seq in range(count.count)
         ]
 
-    def acknowledge(self, number: int) -> None:
-        self.send(mavlink.MAVLink_named_value_int_message(0, ACK_NAME.encode(), number))
+    def acknowledge(self, number: int, system_id: int = 1) -> None:
+        self.send(mavlink.MAVLink_named_value_int_message(0, ack_name(system_id).encode(), number))
 
     def start(self, items: list[MissionItem]) -> None:
         """Upload, wait until ready, arm and enter AUTO."""

@@ -129,6 +129,7 @@ def test_a_confirmation_is_repeated_every_second_until_acknowledged() -> None:
     for number in (1, 2):
         assert [r.number for r in ground.reports()].count(number) in (4, 5)
     ground.acknowledge(99)  # never given: no acknowledgement of anything
+    ground.acknowledge(2, system_id=2)  # another vehicle on the same radio
     ground.acknowledge(1)
     ground.heard.clear()
     ground.wait(5.0)
