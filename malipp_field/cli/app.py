@@ -1,4 +1,4 @@
-"""The `malipp` command: plan, verify, export, sim, run, review, bench.
+"""The `malipp` command: plan, verify, export, sim, run, review, bench, script.
 
 A fault the user can mend is one line on stderr and exit status 2. `plan` and `run` exit with 3 when the
 mission is proven infeasible and with 4 when a limit came before the first plan, `run` with 5 when not every
@@ -21,6 +21,7 @@ import typer
 
 from malipp_field import __version__
 from malipp_field.cli.bench import bench
+from malipp_field.cli.script import script
 from malipp_field.errors import InputError, MalippError, PlanError
 
 if TYPE_CHECKING:
@@ -272,6 +273,7 @@ def review(
 
 
 app.command(short_help="Run the paper's experiments: tables, figures, a page.")(bench)
+app.command(short_help="Write the payload script for ArduPilot rovers.")(script)
 
 
 def _mission(path: Path) -> Mission:
