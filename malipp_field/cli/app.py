@@ -22,6 +22,7 @@ import typer
 from malipp_field import __version__
 from malipp_field.cli.bench import bench
 from malipp_field.cli.script import script
+from malipp_field.cli.times import utc_seconds
 from malipp_field.errors import InputError, MalippError, PlanError
 
 if TYPE_CHECKING:
@@ -55,10 +56,12 @@ class Method(StrEnum):
 
 
 class Format(StrEnum):
-    """Mission file formats of ground stations."""
+    """Mission file formats of ground stations, and formats of maps."""
 
     PLAN = "plan"
     WPL = "wpl"
+    KML = "kml"
+    GEOJSON = "geojson"
 
 
 MissionFile = Annotated[
@@ -188,17 +191,30 @@ def verify(mission_file: MissionFile, plan_file: PlanFile) -> None:
     typer.echo(f"{plan_file}: every rule is kept")
 
 
-@app.command(short_help="Write mission files for QGroundControl and others.")
+@app.command(short_help="Write mission files for QGroundControl and others, and maps.")
 def export(
     mission_file: MissionFile,
     plan_file: PlanFile,
-    file_format: Annotated[Format, typer.Option("--format", help="plan: QGroundControl; wpl: QGC WPL 110.")],
+    file_format: Annotated[
+        Format,
+        typer.Option(
+            "--format", help="plan: QGroundControl; wpl: QGC WPL 110; kml, geojson: one map of all."
+        ),
+    ],
     output: Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="Folder to write to.")],
+    start: Annotated[
+        float | None,
+        typer.Option(
+            parser=utc_seconds,
+            metavar="UTC",
+            help="When the mission starts, such as 2026-11-22T16:00Z; without it no gate opens by time.",
+        ),
+    ] = None,
 ) -> None:
-    """Write one vehicle mission file a robot, and a map file that ties its items to stops and samples."""
+    """Write one vehicle mission file a robot, or a map, and what ties each item to its stop and samples."""
     mission, found = _verified(mission_file, plan_file)
     _folder(output)
-    for path in _export(mission, found, file_format, output):
+    for path in _export(mission, found, file_format, output, start):
         typer.echo(path)
 
 
@@ -349,10 +365,12 @@ def _verified(mission_file: Path, plan_file: Path) -> tuple[Mission, Plan]:
     return mission, found
 
 
-def _export(mission: Mission, found: Plan, file_format: Format, output: Path) -> list[Path]:
+def _export(
+    mission: Mission, found: Plan, file_format: Format, output: Path, start_s: float | None
+) -> list[Path]:
     from malipp_field.vehicle.export import export as write_exports
 
-    return write_exports(mission, found, file_format.value, output)
+    return write_exports(mission, found, file_format.value, output, start_s)
 
 
 def _folder(path: Path) -> None:

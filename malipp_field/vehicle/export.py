@@ -1,4 +1,4 @@
-"""Mission files for ground stations, one a robot, and a map from every item back to the plan."""
+"""Mission files for ground stations, or a map; with either, what ties every item back to the plan."""
 
 from __future__ import annotations
 
@@ -12,30 +12,41 @@ from malipp_field.mission import Mission
 from malipp_field.mission.schema import Origin
 from malipp_field.plan import Plan
 from malipp_field.vehicle.compile import Compiled, compile_plan
+from malipp_field.vehicle.geojson import geojson_text
+from malipp_field.vehicle.kml import kml_text
 from malipp_field.vehicle.layout import lay_out
+from malipp_field.vehicle.map_features import map_features
 from malipp_field.vehicle.qgc_plan import qgc_plan_text
 from malipp_field.vehicle.steps import VehicleMission
 from malipp_field.vehicle.wpl import wpl_text
 
-ExportFormat = Literal["plan", "wpl"]
-_SUFFIXES: dict[ExportFormat, str] = {"plan": ".plan", "wpl": ".waypoints"}
+ExportFormat = Literal["plan", "wpl", "kml", "geojson"]
+_SUFFIXES: dict[ExportFormat, str] = {
+    "plan": ".plan", "wpl": ".waypoints", "kml": ".kml", "geojson": ".geojson",
+}  # fmt: skip
+_MAPS = ("kml", "geojson")
 
 
-def export(mission: Mission, plan: Plan, kind: ExportFormat, directory: Path) -> list[Path]:
-    """Write the mission files of a plan.
+def export(
+    mission: Mission, plan: Plan, kind: ExportFormat, directory: Path, start_s: float | None = None
+) -> list[Path]:
+    """Write the mission files or the map of a plan.
 
-    Each robot gets ``<mission>-<robot>.plan`` or ``.waypoints``; ``<mission>-steps.json`` ties every item to
-    its step, stop, action and containers. A robot that stays where it is gets no file, since ground stations
-    refuse an empty mission; one from an earlier export is removed. All files are written, or none.
+    Each robot gets ``<mission>-<robot>.plan`` or ``.waypoints``, or the team ``<mission>.kml`` or
+    ``.geojson``; ``<mission>-steps.json`` ties every item to its step, stop, action and containers. A robot
+    that stays where it is gets no mission file, since ground stations refuse an empty mission; one from an
+    earlier export is removed. All files are written, or none.
 
     Parameters
     ----------
     mission, plan
         A verified plan and the mission it is for.
     kind
-        ``plan`` for QGroundControl, ``wpl`` for `QGC WPL 110`.
+        ``plan`` for QGroundControl, ``wpl`` for `QGC WPL 110`; ``kml`` and ``geojson`` are maps.
     directory
         Where to; made when it is not there.
+    start_s
+        When mission time 0 is, in seconds since the Unix epoch. Without it no gate opens by time.
 
     Returns
     -------
@@ -54,13 +65,19 @@ def export(mission: Mission, plan: Plan, kind: ExportFormat, directory: Path) ->
         raise PlanError(
             f"mission '{mission.name}' has no site.origin: an abstract site has no degrees to export"
         )
-    compiled = compile_plan(mission, plan)
-    names = {robot: f"{mission.name}-{robot}{_SUFFIXES[kind]}" for robot in compiled.missions}
-    texts = {
-        names[vehicle.robot]: _text(mission, origin, vehicle, kind)
-        for vehicle in compiled.missions.values()
-        if vehicle.steps
-    }
+    compiled = compile_plan(mission, plan, start_s=start_s)
+    if kind in _MAPS:
+        features = map_features(mission, origin, plan, compiled, start_s)
+        names = dict.fromkeys(compiled.missions, f"{mission.name}{_SUFFIXES[kind]}")
+        text = geojson_text(features) if kind == "geojson" else kml_text(mission.name, features)
+        texts = {f"{mission.name}{_SUFFIXES[kind]}": text}
+    else:
+        names = {robot: f"{mission.name}-{robot}{_SUFFIXES[kind]}" for robot in compiled.missions}
+        texts = {
+            names[vehicle.robot]: _text(mission, origin, vehicle, kind)
+            for vehicle in compiled.missions.values()
+            if vehicle.steps
+        }
     texts[f"{mission.name}-steps.json"] = _map_text(plan, compiled, names)
     return _write_all(directory, texts, obsolete=[name for name in names.values() if name not in texts])
 

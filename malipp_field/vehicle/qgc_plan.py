@@ -1,4 +1,4 @@
-"""QGroundControl `.plan` files: mission, keep-outs as a fence, depots as rally points.
+"""QGroundControl `.plan` files: mission, fence and keep-outs, depots as rally points.
 
 Format: "Plan File Format" in QGroundControl's developer guide. Home is not an item there; it is
 ``plannedHomePosition``, and the item with ``doJumpId`` *i* is item *i* of the MAVLink mission.
@@ -8,7 +8,10 @@ from __future__ import annotations
 
 import json
 
-from malipp_field.mission import Mission, keep_out_polygons, node_positions, to_globe
+from shapely import Polygon
+from shapely.geometry.polygon import orient
+
+from malipp_field.mission import Mission, fence_polygon, keep_out_polygons, node_positions, to_globe
 from malipp_field.mission.schema import Origin
 from malipp_field.vehicle.items import WITH_PLACE, MissionItem
 from malipp_field.vehicle.layout import lay_out
@@ -27,7 +30,7 @@ def qgc_plan_text(mission: Mission, origin: Origin, vehicle: VehicleMission) -> 
     Parameters
     ----------
     mission
-        Gives keep-outs, depots and the speed of the robot.
+        Gives fence, keep-outs, depots and the speed of the robot.
     origin
         The mission's origin; an abstract site cannot be exported.
     vehicle
@@ -51,7 +54,7 @@ def qgc_plan_text(mission: Mission, origin: Origin, vehicle: VehicleMission) -> 
             ],
             "items": [_simple_item(item) for item in lay_out(vehicle).items[1:]],
         },
-        "geoFence": {"version": 2, "circles": [], "polygons": _exclusions(mission, origin)},
+        "geoFence": {"version": 2, "circles": [], "polygons": _polygons(mission, origin)},
         "rallyPoints": {"version": 2, "points": _rally_points(mission, origin, vehicle.robot)},
     }  # fmt: skip
     return json.dumps(document, indent=4) + "\n"
@@ -73,16 +76,22 @@ def _simple_item(item: MissionItem) -> Json:
     return data | {"params": [*params, item.x, item.y, item.z]}
 
 
-def _exclusions(mission: Mission, origin: Origin) -> list[Json]:
-    """Return the keep-outs as polygons the vehicle must stay out of; the ring is not closed."""
-    return [
-        {
-            "version": 1,
-            "inclusion": False,
-            "polygon": [_rounded(*to_globe(x_m, y_m, origin)) for x_m, y_m in polygon.exterior.coords[:-1]],
-        }
-        for polygon in keep_out_polygons(mission).values()
-    ]
+def _polygons(mission: Mission, origin: Origin) -> list[Json]:
+    """Return the outline to stay inside of, and the keep-outs to stay out of."""
+    fence = fence_polygon(mission)
+    inclusions = [] if fence is None else [_polygon(fence, origin, inclusion=True)]
+    exclusions = [_polygon(area, origin, inclusion=False) for area in keep_out_polygons(mission).values()]
+    return inclusions + exclusions
+
+
+def _polygon(polygon: Polygon, origin: Origin, *, inclusion: bool) -> Json:
+    """Return a polygon as the format has it: clockwise, and not closed."""
+    corners = orient(polygon, -1.0).exterior.coords[:-1]
+    return {
+        "version": 1,
+        "inclusion": inclusion,
+        "polygon": [_rounded(*to_globe(x_m, y_m, origin)) for x_m, y_m in corners],
+    }
 
 
 def _rally_points(mission: Mission, origin: Origin, robot: str) -> list[list[float]]:

@@ -182,7 +182,7 @@ def test_a_mistake_in_the_mission_file(
         (("plan", "{m}", "-o", "tiny.yaml/x/p.json"), "cannot be made"),
         (("plan", "{m}", "-o", "{m}"), "tiny.yaml: cannot be written: it is what is to be read"),
         (("run", "{m}", "-o", "{m}"), "tiny.yaml: is not a folder"),
-        (("export", "{m}", "plan.json", "--format", "kml", "-o", "out"), "'kml' is not one of"),
+        (("export", "{m}", "plan.json", "--format", "gpx", "-o", "out"), "'gpx' is not one of"),
         (("sim", "{m}", "--port", "80"), "--port"),
         (("run", "{m}", "-o", "out", "--speed", "0"), "--speed"),
         (("run", "{m}", "-o", "out", "--plan", "nowhere.json"), "nowhere.json: no such file"),

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
-from mavsdk import ComponentType, Configuration, Mavsdk
+from importers import mavsdk_importer
 from mavsdk.plugins.mission_raw.mission_raw import MissionRaw
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from pymavlink.mavwp import MAVWPLoader
@@ -25,26 +24,7 @@ DEG_TOLERANCE = 1e-7
 """About a centimetre."""
 
 
-@pytest.fixture(scope="module")
-def importer() -> Iterator[MissionRaw]:
-    """MAVSDK's importer; it wants a vehicle, so it is told of one without any network."""
-    sdk = Mavsdk(Configuration.create_with_component_type(ComponentType.GROUND_STATION))
-    try:
-        sdk.add_any_connection("raw://")
-        mav = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
-        heartbeat = mav.heartbeat_encode(
-            mavlink.MAV_TYPE_GROUND_ROVER,
-            mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA,
-            0,
-            0,
-            mavlink.MAV_STATE_STANDBY,
-        )
-        sdk.pass_received_raw_bytes(heartbeat.pack(mav))
-        system = sdk.first_autopilot(10.0)
-        assert system is not None
-        yield MissionRaw(system)
-    finally:
-        sdk.destroy()
+importer = pytest.fixture(scope="module")(mavsdk_importer)
 
 
 def items_of(robot: str) -> list[MissionItem]:

@@ -1,0 +1,22 @@
+"""Times as they are typed."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+
+import typer
+
+
+def utc_seconds(text: str) -> float:
+    """Return an ISO 8601 time in seconds since the Unix epoch; it is UTC unless it says otherwise.
+
+    Raises
+    ------
+    typer.BadParameter
+        When it is no such time.
+    """
+    try:
+        time = datetime.fromisoformat(text.strip())
+    except ValueError:
+        raise typer.BadParameter(f"'{text}' is no time such as 2026-11-22T16:00Z") from None
+    return (time if time.tzinfo else time.replace(tzinfo=UTC)).timestamp()
