@@ -152,7 +152,7 @@ def _route(
     end_s = robot.route[-1].depart_s
     yield Feature(
         f"{robot.id}/route", "route", robot.id, "LineString", tuple(map(_degrees, places)), color,
-        lines=(f"{energy_j:.0f} J", f"home at {clock(end_s)}"), robot=robot.id, width=width,
+        lines=(f"{energy_j:.0f} J", f"ends at {clock(end_s)}"), robot=robot.id, width=width,
         data=(("energy_j", energy_j), ("end_s", end_s)),
     )  # fmt: skip
 

@@ -1,7 +1,7 @@
 import math
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from malipp_field.vehicle.payload_protocol import (
@@ -13,6 +13,7 @@ from malipp_field.vehicle.payload_protocol import (
 from malipp_field.vehicle.steps import MAX_TAG, Action
 
 
+@settings(deadline=None)
 @given(
     number=st.integers(1, 2**32 - 1),
     action=st.sampled_from(Action),
