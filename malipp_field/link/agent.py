@@ -159,7 +159,7 @@ class Agent:
             self._connection.send(message)
 
     def _tick(self, now_s: float) -> None:
-        if self._due("heartbeat", HEARTBEAT_S, now_s):
+        if self._driver.heartbeats.allowed(now_s) and self._due("heartbeat", HEARTBEAT_S, now_s):
             self._send(
                 mavlink.MAVLink_heartbeat_message(
                     mavlink.MAV_TYPE_GCS, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, mavlink.MAV_STATE_ACTIVE, 3
@@ -201,6 +201,7 @@ class Agent:
 
     def _heard(self, message: MavMessage) -> None:
         now_s = self._clock.now_s()
+        self._driver.heartbeats.overhear(message, now_s)
         if not self.vehicle.receive(message, now_s):
             return
         kind = message.get_msgId()

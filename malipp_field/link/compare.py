@@ -1,4 +1,4 @@
-"""Whether the mission read back from a vehicle makes it do what it was sent.
+"""Whether the mission (fence, rally points) read back from a vehicle makes it do what it was sent.
 
 Byte for byte a read-back always differs: item 0 is home and the vehicle's own, autocontinue comes back as 1,
 frames as 0, 3 or 10, and params are cut to their storage type. What is lost to the resolution of the storage
@@ -14,7 +14,14 @@ from collections.abc import Iterator, Sequence
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from malipp_field.link.commands import command_name
-from malipp_field.vehicle.items import MAV_CMD_NAV_SCRIPT_TIME, MAV_CMD_NAV_WAYPOINT, MissionItem
+from malipp_field.vehicle.items import (
+    MAV_CMD_NAV_FENCE_POLYGON_VERTEX_EXCLUSION,
+    MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION,
+    MAV_CMD_NAV_RALLY_POINT,
+    MAV_CMD_NAV_SCRIPT_TIME,
+    MAV_CMD_NAV_WAYPOINT,
+    MissionItem,
+)
 
 PLACE_TOLERANCE_M = 0.5
 """Latitude and longitude through float32 are off by up to this; a rover's waypoint radius is 2 m."""
@@ -26,6 +33,9 @@ _WITH_PLACE = (
     MAV_CMD_NAV_WAYPOINT,
     mavlink.MAV_CMD_NAV_LOITER_UNLIM,
     mavlink.MAV_CMD_NAV_LOITER_TIME,
+    MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION,
+    MAV_CMD_NAV_FENCE_POLYGON_VERTEX_EXCLUSION,
+    MAV_CMD_NAV_RALLY_POINT,
 )
 _WHOLE_PARAMS = {
     (MAV_CMD_NAV_WAYPOINT, 1),
@@ -47,22 +57,28 @@ _ALTITUDE_OF_FRAME = {
 }
 
 
-def differences(sent: Sequence[MissionItem], read_back: Sequence[MissionItem]) -> list[str]:
+def differences(
+    sent: Sequence[MissionItem], read_back: Sequence[MissionItem], *, home: bool = True
+) -> list[str]:
     """Return what the vehicle would not do as it was sent, in words; empty when it will do all of it.
 
     Parameters
     ----------
     sent, read_back
-        Whole missions, home first. Item 0 is not compared; a mission of home alone may come back empty.
+        All items.
+    home
+        Whether item 0 is home, as in missions: it is not compared, and a mission of home alone may come back
+        empty. Fences and rally points have none.
     """
+    first = int(home)
     found = [
         f"item {ours.seq} ({command_name(ours.command)}): {'; '.join(faults)}"
-        for ours, theirs in zip(sent[1:], read_back[1:], strict=False)
+        for ours, theirs in zip(sent[first:], read_back[first:], strict=False)
         if (faults := list(_item_differences(ours, theirs)))
     ]
-    wanted, there = max(len(sent), 1), max(len(read_back), 1)
+    wanted, there = (max(0, len(items) - first) for items in (sent, read_back))
     if wanted != there:
-        found.append(f"{wanted - 1} items after home were sent, {there - 1} are on board")
+        found.append(f"{wanted} items{' after home' * home} were sent, {there} are on board")
     return found
 
 

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Callable, Sequence
+from functools import partial
+from typing import TypeAlias
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
@@ -10,8 +13,16 @@ from malipp_field.clock import Clock
 from malipp_field.errors import LinkError
 from malipp_field.link.commands import CommandExchange
 from malipp_field.link.compare import differences
-from malipp_field.link.exchange import DEFAULT_TIMEOUT_S, Exchange, MavMessage
-from malipp_field.link.mission_protocol import MissionClear, MissionDownload, MissionUpload
+from malipp_field.link.exchange import (
+    DEFAULT_TIMEOUT_S,
+    GROUND_COMPONENT,
+    GROUND_SYSTEM,
+    Exchange,
+    MavMessage,
+)
+from malipp_field.link.heartbeats import Heartbeats
+from malipp_field.link.mission_protocol import MissionClear, MissionDownload, MissionType, MissionUpload
+from malipp_field.link.parameters import ParameterRead
 from malipp_field.link.vehicle import HEARTBEAT_LOST_S, MODE_NUMBERS, Vehicle
 from malipp_field.vehicle.items import MissionItem
 
@@ -22,6 +33,17 @@ READY_LIMIT_S = 120.0
 """How long to wait for a position estimate; about 40 s after boot is usual."""
 VERIFY_ROUNDS = 2
 """Times a mission is uploaded when what is read back differs."""
+
+OnProgress: TypeAlias = Callable[[str, int, int], None]
+"""Told what is being done (``upload``, ``read back``), how many items are done, and how many there are."""
+
+
+def _unseen(_what: str, _done: int, _total: int) -> None:
+    pass
+
+
+def _tell(on_progress: OnProgress, what: str, transfer: MissionUpload | MissionDownload) -> None:
+    on_progress(what, *transfer.progress)
 
 
 class Driver:
@@ -37,12 +59,26 @@ class Driver:
         Sends a message to it.
     clock
         All waiting is done on it.
+    own
+        System and component id as whom we speak.
+    beats_alone
+        Whether nobody else of ours sends heartbeats on this link.
     """
 
-    def __init__(self, vehicle: Vehicle, send: Callable[[MavMessage], None], clock: Clock) -> None:
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        send: Callable[[MavMessage], None],
+        clock: Clock,
+        own: tuple[int, int] = (GROUND_SYSTEM, GROUND_COMPONENT),
+        *,
+        beats_alone: bool = True,
+    ) -> None:
         self.vehicle = vehicle
+        self.own = own
+        self.heartbeats = Heartbeats(vehicle, own, alone=beats_alone)
+        self.clock = clock
         self._send = send
-        self._clock = clock
         self._exchanges: list[Exchange] = []
 
     def receive(self, message: MavMessage, now_s: float) -> None:
@@ -61,20 +97,21 @@ class Driver:
 
     async def until(self, condition: Callable[[], bool], limit_s: float) -> bool:
         """Wait until a condition holds; return whether it did within the limit."""
-        deadline_s = self._clock.now_s() + limit_s
+        deadline_s = self.clock.now_s() + limit_s
         while not condition():
-            if self._clock.now_s() >= deadline_s:
+            if self.clock.now_s() >= deadline_s:
                 return False
-            await self._clock.sleep(TICK_S)
+            await self.clock.sleep(TICK_S)
         return True
 
-    async def run(self, exchange: Exchange) -> None:
-        """Run an exchange to its end."""
+    async def run(self, exchange: Exchange, on_tick: Callable[[], None] = lambda: None) -> None:
+        """Run an exchange to its end; cancelled, it sends nothing more."""
         self._exchanges.append(exchange)
         try:
-            self._send_all(exchange.start(self._clock.now_s()))
+            self._send_all(exchange.start(self.clock.now_s()))
             while not exchange.ended:  # every exchange has limits of its own
-                await self._clock.sleep(TICK_S)
+                await self.clock.sleep(TICK_S)
+                on_tick()
         finally:
             self._exchanges.remove(exchange)
         if exchange.failure is not None:
@@ -82,7 +119,7 @@ class Driver:
 
     async def hear(self) -> None:
         """Wait for heartbeats."""
-        if not await self.until(lambda: self.vehicle.link_ok(self._clock.now_s()), HEARTBEAT_LOST_S):
+        if not await self.until(lambda: self.vehicle.link_ok(self.clock.now_s()), HEARTBEAT_LOST_S):
             raise LinkError(f"vehicle {self.vehicle.address[0]} is not heard")
 
     async def hear_index(self) -> None:
@@ -97,6 +134,14 @@ class Driver:
         await self._command(mavlink.MAV_CMD_DO_SET_MODE, custom, float(MODE_NUMBERS[mode]))
         before = self.vehicle.heartbeats
         await self._see(lambda v: v.heartbeats > before and v.mode == mode, f"enter {mode}")
+
+    async def hear_mode(self, mode: str) -> None:
+        """Hear in a new heartbeat that the vehicle is in that mode."""
+        before = self.vehicle.heartbeats
+        if not await self.until(lambda: self.vehicle.heartbeats > before, EFFECT_LIMIT_S):
+            raise LinkError(f"vehicle {self.vehicle.address[0]} is not heard")
+        if self.vehicle.mode != mode:
+            raise LinkError(f"vehicle {self.vehicle.address[0]} is in {self.vehicle.mode}, not in {mode}")
 
     async def arm(self) -> None:
         """Arm; see it in a heartbeat."""
@@ -123,6 +168,10 @@ class Driver:
             await self.enter("AUTO")
         elif self.vehicle.mode != "HOLD":
             await self.enter("HOLD")
+        await self.point_at(seq)
+
+    async def point_at(self, seq: int) -> None:
+        """Make item ``seq`` current, whatever the vehicle is doing; in AUTO it turns to it at once."""
         await self._command(mavlink.MAV_CMD_DO_SET_MISSION_CURRENT, float(seq))
         before = self.vehicle.mission_reports
         await self._see(
@@ -143,9 +192,9 @@ class Driver:
         when the vehicle has gone on would set it back.
         """
         system, component = self.vehicle.address
-        deadline_s = self._clock.now_s() + 2 * EFFECT_LIMIT_S
+        deadline_s = self.clock.now_s() + 2 * EFFECT_LIMIT_S
         while not self._is_past(seq):
-            if self._clock.now_s() >= deadline_s:
+            if self.clock.now_s() >= deadline_s:
                 raise LinkError(f"vehicle {system} does not leave item {seq}")
             self._send(
                 mavlink.MAVLink_command_long_message(
@@ -163,28 +212,59 @@ class Driver:
 
         An upload is not atomic. When it fails, what is left on board is removed as far as the link allows.
         """
-        system, component = self.vehicle.address
         try:
-            for _ in range(VERIFY_ROUNDS):
-                if len(items) > 1:
-                    await self.run(MissionUpload(items, system, component))
-                else:  # nothing to do; ArduPilot makes two items of home alone
-                    await self.run(MissionClear(system, component))
-                download = MissionDownload(system, component)
-                await self.run(download)
-                found = differences(items, download.items)
-                if not found:
-                    return
-            raise LinkError(f"the mission read back is not the one sent: {'; '.join(found)}")
+            await self.put(items)
         except LinkError:
             await self._clear_quietly()
             raise
 
+    async def put(
+        self,
+        items: Sequence[MissionItem],
+        mission_type: MissionType = MissionType.MISSION,
+        on_progress: OnProgress = _unseen,
+    ) -> None:
+        """Put a mission, a fence or rally points on the vehicle, read them back, and compare.
+
+        When it fails, or is cancelled, what is on board is not known, and may be a mixture.
+        """
+        mission = mission_type is MissionType.MISSION
+        for _ in range(VERIFY_ROUNDS):
+            if len(items) > mission:
+                upload = MissionUpload(items, *self.vehicle.address, *self.own, mission_type)
+                await self.run(upload, partial(_tell, on_progress, "upload", upload))
+            else:  # nothing to do; ArduPilot makes two items of home alone
+                await self.run(MissionClear(*self.vehicle.address, *self.own, mission_type))
+            there = await self.download(mission_type, on_progress)
+            found = differences(items, there, home=mission)
+            if not found:
+                return
+        raise LinkError(f"what was read back is not the {mission_type.word} sent: {'; '.join(found)}")
+
+    async def download(
+        self, mission_type: MissionType = MissionType.MISSION, on_progress: OnProgress = _unseen
+    ) -> list[MissionItem]:
+        """Read what is on the vehicle."""
+        download = MissionDownload(*self.vehicle.address, *self.own, mission_type)
+        await self.run(download, partial(_tell, on_progress, "read back", download))
+        return download.items
+
+    async def parameters(self, *names: Sequence[str]) -> list[float]:
+        """Read parameters at once, each by all its names."""
+        reads = [ParameterRead(each, *self.vehicle.address, *self.own) for each in names]
+        try:
+            async with asyncio.TaskGroup() as group:
+                for read in reads:
+                    group.create_task(self.run(read))
+        except* LinkError as faults:
+            raise LinkError(str(faults.exceptions[0])) from None
+        return [read.value for read in reads]
+
     async def _clear_quietly(self) -> None:
-        if not self.vehicle.link_ok(self._clock.now_s()):
+        if not self.vehicle.link_ok(self.clock.now_s()):
             return
         try:
-            await self.run(MissionClear(*self.vehicle.address))
+            await self.run(MissionClear(*self.vehicle.address, *self.own))
         except LinkError:
             return  # the failure that led here is the one to report
 
@@ -193,7 +273,7 @@ class Driver:
             raise LinkError(f"vehicle {self.vehicle.address[0]} is not ready to arm: no position estimate")
 
     async def _command(self, command: int, *params: float) -> None:
-        await self.run(CommandExchange(command, params, *self.vehicle.address))
+        await self.run(CommandExchange(command, params, *self.vehicle.address, *self.own))
 
     async def _see(self, effect: Callable[[Vehicle], bool], what: str) -> None:
         if not await self.until(lambda: effect(self.vehicle), EFFECT_LIMIT_S):

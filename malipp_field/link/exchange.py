@@ -70,7 +70,7 @@ class Exchange(ABC):
         """Begin; return the messages to send."""
 
     @abstractmethod
-    def receive(self, message: MavMessage, now_s: float) -> list[MavMessage]:
+    def receive(self, message: MavMessage, now_s: float, /) -> list[MavMessage]:
         """Take in a message of the link, whoever sent it; return the messages to send."""
 
     def tick(self, now_s: float) -> list[MavMessage]:

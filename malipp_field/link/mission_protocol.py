@@ -1,5 +1,7 @@
 """The MAVLink mission protocol of a ground station: upload, download and clear, as machines without I/O.
 
+One protocol carries three kinds of items: missions, fences and rally points (`MissionType`).
+
 Source: https://mavlink.io/en/services/mission.html, and what ArduPilot makes of it: it drives an upload by
 requests, repeats each after about 1 s and gives up after 8 s; it truncates the stored mission at
 MISSION_COUNT, so an upload is not atomic; it answers a duplicate with MAV_MISSION_INVALID_SEQUENCE, a second
@@ -10,6 +12,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Sequence
+from enum import IntEnum
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
@@ -31,6 +34,20 @@ BUSY_LIMIT_S = 30.0
 """How long to wait for another uploader to end, or for a vehicle that says it cannot just now."""
 ATTEMPTS = 1 + RETRIES
 """Times an upload is begun (a lost final ACK leaves no way but to begin again)."""
+
+
+class MissionType(IntEnum):
+    """MAV_MISSION_TYPE: what a list of items is."""
+
+    MISSION = mavlink.MAV_MISSION_TYPE_MISSION
+    FENCE = mavlink.MAV_MISSION_TYPE_FENCE
+    RALLY = mavlink.MAV_MISSION_TYPE_RALLY
+
+    @property
+    def word(self) -> str:
+        """Its name in a sentence: mission, fence, rally points."""
+        return {MissionType.RALLY: "rally points"}.get(self, self.name.lower())
+
 
 _REQUESTS = (mavlink.MAVLINK_MSG_ID_MISSION_REQUEST, mavlink.MAVLINK_MSG_ID_MISSION_REQUEST_INT)
 _NOT_NOW = (mavlink.MAV_MISSION_ERROR, mavlink.MAV_MISSION_DENIED)
@@ -59,13 +76,15 @@ class MissionExchange(Exchange):
         target_component: int = AUTOPILOT_COMPONENT,
         own_system: int = GROUND_SYSTEM,
         own_component: int = GROUND_COMPONENT,
+        mission_type: MissionType = MissionType.MISSION,
     ) -> None:
         super().__init__(target_system, target_component, own_system, own_component)
+        self._type = mission_type
         self._busy_since_s: float | None = None
 
     def receive(self, message: MavMessage, now_s: float) -> list[MavMessage]:
         """Take in a message of the link; only the vehicle's answers to us, about missions, count."""
-        if not self._sent_by_target(message) or getattr(message, "mission_type", -1) != 0:
+        if not self._sent_by_target(message) or getattr(message, "mission_type", -1) != self._type:
             return []
         if (message.target_system, message.target_component) != self._own:
             return []
@@ -88,14 +107,14 @@ class MissionExchange(Exchange):
 
 
 class MissionUpload(MissionExchange):
-    """Put a mission on a vehicle.
+    """Put a mission, a fence or rally points on a vehicle.
 
     `done` means that the vehicle acknowledged a transfer in which it was given every item.
 
     Parameters
     ----------
     items
-        The whole mission, home first; sequence numbers count from 0.
+        All of them, numbered from 0; of a mission item 0 is home, a fence and rally points have none.
     """
 
     def __init__(
@@ -105,8 +124,9 @@ class MissionUpload(MissionExchange):
         target_component: int = AUTOPILOT_COMPONENT,
         own_system: int = GROUND_SYSTEM,
         own_component: int = GROUND_COMPONENT,
+        mission_type: MissionType = MissionType.MISSION,
     ) -> None:
-        super().__init__(target_system, target_component, own_system, own_component)
+        super().__init__(target_system, target_component, own_system, own_component, mission_type)
         if [item.seq for item in items] != list(range(len(items))):
             raise ValueError("the items of a mission are numbered from 0 without gaps")
         self._items = list(items)
@@ -129,12 +149,13 @@ class MissionUpload(MissionExchange):
     def _question(self) -> list[MavMessage]:
         if self._wanted is None:
             count = len(self._items)
-            return [mavlink.MAVLink_mission_count_message(*self._target, count, mission_type=0)]
+            return [mavlink.MAVLink_mission_count_message(*self._target, count, mission_type=self._type)]
         # The vehicle drives: after the specified retries it is left to ask again.
         return [self._item_message(self._wanted)] if self._repeats <= RETRIES else []
 
     def _item_message(self, seq: int) -> MavMessage:
-        return mavlink.MAVLink_mission_item_int_message(*self._target, *self._items[seq], mission_type=0)
+        item = self._items[seq]
+        return mavlink.MAVLink_mission_item_int_message(*self._target, *item, mission_type=self._type)
 
     def tick(self, now_s: float) -> list[MavMessage]:
         """Let time pass; begin again when the vehicle neither asks for an item nor acknowledges."""
@@ -193,7 +214,9 @@ class MissionUpload(MissionExchange):
 
     def _count_refused(self, result: int, now_s: float) -> list[MavMessage]:
         if result in _REFUSES_COUNT:
-            return self._fail(f"a mission of {len(self._items)} items was refused ({result_words(result)})")
+            return self._fail(
+                f"a {self._type.word} upload of {len(self._items)} items was refused ({result_words(result)})"
+            )
         # Whatever else there is to say about items is late news of an earlier attempt.
         return self._wait_for_turn(result, now_s) if result in _NOT_NOW else []
 
@@ -202,7 +225,7 @@ class MissionUpload(MissionExchange):
 
 
 class MissionDownload(MissionExchange):
-    """Read the mission that is on a vehicle; `items` holds it when `done`."""
+    """Read the items of one type that are on a vehicle; `items` holds them when `done`."""
 
     def __init__(
         self,
@@ -210,8 +233,9 @@ class MissionDownload(MissionExchange):
         target_component: int = AUTOPILOT_COMPONENT,
         own_system: int = GROUND_SYSTEM,
         own_component: int = GROUND_COMPONENT,
+        mission_type: MissionType = MissionType.MISSION,
     ) -> None:
-        super().__init__(target_system, target_component, own_system, own_component)
+        super().__init__(target_system, target_component, own_system, own_component, mission_type)
         self.items: list[MissionItem] = []
         self._count: int | None = None
 
@@ -226,9 +250,9 @@ class MissionDownload(MissionExchange):
 
     def _question(self) -> list[MavMessage]:
         if self._count is None:
-            return [mavlink.MAVLink_mission_request_list_message(*self._target, mission_type=0)]
+            return [mavlink.MAVLink_mission_request_list_message(*self._target, mission_type=self._type)]
         seq = len(self.items)
-        return [mavlink.MAVLink_mission_request_int_message(*self._target, seq, mission_type=0)]
+        return [mavlink.MAVLink_mission_request_int_message(*self._target, seq, mission_type=self._type)]
 
     def _unanswered(self) -> list[MavMessage]:
         asked = "MISSION_REQUEST_LIST" if self._count is None else f"a request for item {len(self.items)}"
@@ -259,26 +283,28 @@ class MissionDownload(MissionExchange):
             return self._ask(now_s, ITEM_TIMEOUT_S)
         self.done = True
         accepted = mavlink.MAV_MISSION_ACCEPTED
-        return [mavlink.MAVLink_mission_ack_message(*self._target, accepted, mission_type=0)]
+        return [mavlink.MAVLink_mission_ack_message(*self._target, accepted, mission_type=self._type)]
 
     def _refused(self, result: int, now_s: float) -> list[MavMessage]:
         """Wait while somebody uploads; an ACK of an earlier upload is no answer to a request."""
         if result in _NOT_NOW:
             return self._wait_for_turn(result, now_s)
         if result == mavlink.MAV_MISSION_UNSUPPORTED:
-            return self._fail(f"the vehicle cannot be asked for its mission ({result_words(result)})")
+            return self._fail(
+                f"the vehicle cannot be asked for its {self._type.word} ({result_words(result)})"
+            )
         return []
 
 
 class MissionClear(MissionExchange):
-    """Remove the mission from a vehicle."""
+    """Remove the items of one type from a vehicle."""
 
     def start(self, now_s: float) -> list[MavMessage]:
         """Ask for it."""
         return self._ask(now_s)
 
     def _question(self) -> list[MavMessage]:
-        return [mavlink.MAVLink_mission_clear_all_message(*self._target, mission_type=0)]
+        return [mavlink.MAVLink_mission_clear_all_message(*self._target, mission_type=self._type)]
 
     def _unanswered(self) -> list[MavMessage]:
         return self._silent("MISSION_CLEAR_ALL")

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 from typing import TypeAlias
 
 from malipp_field.bus.messages import Hold, Load, Release, Start
 from malipp_field.errors import LinkError
 from malipp_field.link.driver import Driver
 from malipp_field.link.progress import Progress
+from malipp_field.link.replacement import replace_under_way, safe_until_s
 from malipp_field.vehicle.layout import lay_out
 from malipp_field.vehicle.payload_protocol import REPEAT_S
 from malipp_field.vehicle.steps import Action, VehicleMission
@@ -17,6 +19,8 @@ CONFIRMATION_LIMIT_S = 10 * REPEAT_S
 """How long to wait for the confirmation of a payload step that the vehicle has left behind."""
 
 Order: TypeAlias = Load | Start | Release | Hold
+
+log = logging.getLogger(__name__)
 
 
 class Orders:
@@ -59,6 +63,8 @@ class Orders:
         if order.resume and vehicle.armed and not under_way:
             raise LinkError("the vehicle is armed, but not by this agent: what it has done is not known")
         self._object_to(order)
+        if order.resume and await self._replace_under_way(mission):
+            return f"version {mission.version} is on board and verified; the vehicle was not stopped for it"
         if vehicle.armed or vehicle.mode == "AUTO":
             await self._make_stand(order)
         self._progress.forget()
@@ -67,6 +73,32 @@ class Orders:
         if order.resume and under_way:
             await self._go(mission)
         return f"version {mission.version} is on board and verified"
+
+    async def _replace_under_way(self, mission: VehicleMission) -> bool:
+        """Replace the mission of a vehicle on a leg that both missions have, if that is safe without a stop.
+
+        Return whether it is done; else the vehicle must be held, at once.
+        """
+        vehicle, leg, item = self._driver.vehicle, self._progress.current, self._progress.resumption(mission)
+        if not (self._progress.in_force and vehicle.armed and vehicle.mode == "AUTO"):
+            return False
+        if leg is None or leg.action is not Action.DRIVE or item is None:
+            return False
+        layout = lay_out(mission)
+        if mission.steps[layout.steps[item]] != leg:
+            return False
+        try:
+            deadline_s = await safe_until_s(self._driver, leg.place, len(layout.items))
+            if self._progress.current is not leg:  # it has gone on while its parameters were read
+                return False
+            self._progress.forget()
+            await replace_under_way(self._driver, layout.items, item, deadline_s)
+        except LinkError as fault:
+            log.info("%s: held for its new mission: %s", self._robot, fault)
+            return False
+        self._progress.adopt(mission)
+        self._progress.follow(item)
+        return True
 
     def _object_to(self, order: Load) -> None:
         objection = self._progress.objection(order.mission, order.diverges_at)

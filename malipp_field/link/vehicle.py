@@ -30,8 +30,12 @@ class Vehicle:
     ----------
     mode : str
         Rover's name of the mode, empty before the first heartbeat.
+    heard_since_s : float or None
+        When it was first heard, or heard again after `HEARTBEAT_LOST_S` of silence.
     lat_deg, lon_deg : float or None
         None before the first position.
+    position_s : float or None
+        When the last position arrived.
     heading_deg, speed_m_s : float
         Clockwise from north; over ground.
     ready_to_arm : bool
@@ -53,6 +57,7 @@ class Vehicle:
         self.auto_entered = False
         self.lat_deg: float | None = None
         self.lon_deg: float | None = None
+        self.position_s: float | None = None
         self.heading_deg = 0.0
         self.speed_m_s = 0.0
         self.ready_to_arm = False
@@ -62,6 +67,7 @@ class Vehicle:
         self.heartbeats = 0
         self.mission_reports = 0
         self.last_heartbeat_s: float | None = None
+        self.heard_since_s: float | None = None
         self._script_measures_energy = False
         self._handlers = {
             mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: self._position,
@@ -81,12 +87,16 @@ class Vehicle:
             return False
         if message.get_msgId() == mavlink.MAVLINK_MSG_ID_HEARTBEAT:
             self._heartbeat(message, now_s)
+        if message.get_msgId() == mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT:
+            self.position_s = now_s
         handler = self._handlers.get(message.get_msgId())
         if handler is not None:
             handler(message)
         return True
 
     def _heartbeat(self, message: MavMessage, now_s: float) -> None:
+        if not self.link_ok(now_s):
+            self.heard_since_s = now_s
         self.heartbeats += 1
         self.last_heartbeat_s = now_s
         self.mode = _MODE_NAMES.get(message.custom_mode, f"mode {message.custom_mode}")

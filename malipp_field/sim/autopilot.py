@@ -11,7 +11,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from malipp_field.sim.activities import Activity, Do, InTurn, Pause
 from malipp_field.sim.mission_run import MissionRun, RunState
-from malipp_field.sim.mission_store import MissionStore
+from malipp_field.sim.mission_store import MAX_ITEMS, MissionStore
 from malipp_field.sim.motion import Leg, Position
 from malipp_field.sim.params import Parameters
 from malipp_field.sim.payload import PayloadScript, action_of
@@ -42,10 +42,13 @@ class RoverConfig:
     has_script
         Whether the payload script is on board. Without it a NAV_SCRIPT_TIME lasts its timeout, and is then
         reported as reached as if it had been done; without a timeout it never ends.
+    max_items
+        Mission items it stores, home included.
     """
 
     ready_after_s: float = 5.0
     has_script: bool = True
+    max_items: int = MAX_ITEMS
 
 
 class Autopilot:
@@ -78,7 +81,7 @@ class Autopilot:
         self.heading_deg = 0.0
         self.energy_used_j = 0.0
         self.stranded = False
-        self.store = MissionStore(home=self.home_item)
+        self.store = MissionStore(home=self.home_item, max_items=config.max_items)
         self.said: list[Any] = []
         self._world = world
         self._config = config

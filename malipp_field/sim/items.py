@@ -7,7 +7,7 @@ line): params are cut to their storage type, frames come back as 0, 3 or 10, aut
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -94,6 +94,12 @@ _FENCE_AND_RALLY = {
 }
 
 
+_CORNERS = {
+    mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION,
+    mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_EXCLUSION,
+}
+
+
 class RefusedItemError(ValueError):
     """An item the autopilot does not store; `result` is the MAV_MISSION_RESULT it answers with."""
 
@@ -133,9 +139,7 @@ def stored(item: MissionItem, mission_type: int) -> MissionItem:
         With the reason the autopilot gives.
     """
     if mission_type != mavlink.MAV_MISSION_TYPE_MISSION:
-        if item.command not in _FENCE_AND_RALLY[mission_type]:
-            raise RefusedItemError(mavlink.MAV_MISSION_UNSUPPORTED)
-        return item._replace(current=0, autocontinue=1)
+        return _stored_beside(item, mission_type)
     _refuse_impossible_params(item)
     if item.command not in _STORED:
         raise RefusedItemError(mavlink.MAV_MISSION_UNSUPPORTED)
@@ -144,6 +148,37 @@ def stored(item: MissionItem, mission_type: int) -> MissionItem:
     p1, p2, p3, p4 = (cut(0.0 if math.isnan(p) else p) for cut, p in zip(cuts, given, strict=True))
     frame, x, y, z = _stored_place(item)
     return MissionItem(item.seq, frame, item.command, 0, 1, p1, p2, p3, p4, x, y, z)
+
+
+def _stored_beside(item: MissionItem, mission_type: int) -> MissionItem:
+    """Return a corner of a fence or a rally point as it is kept: no more than its place, and one number."""
+    if item.command not in _FENCE_AND_RALLY[mission_type]:
+        raise RefusedItemError(mavlink.MAV_MISSION_UNSUPPORTED)
+    rally = mission_type == mavlink.MAV_MISSION_TYPE_RALLY
+    frame, x, y, z = _place_on_earth(item)
+    if rally and frame != mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT:
+        raise RefusedItemError(mavlink.MAV_MISSION_UNSUPPORTED_FRAME)
+    if not rally:
+        frame, z = mavlink.MAV_FRAME_GLOBAL, 0.0
+    p1 = 0.0 if rally else _uint8(item.param1) if item.command in _CORNERS else _single(item.param1)
+    return MissionItem(item.seq, frame, item.command, 0, 1, p1, 0.0, 0.0, 0.0, x, y, math.trunc(z))
+
+
+def polygons_are_whole(items: Sequence[MissionItem]) -> bool:
+    """Return whether every polygon of a fence has as many corners, all of a kind, as each of them says."""
+    at = 0
+    while at < len(items):
+        first = items[at]
+        if first.command not in _CORNERS:
+            at += 1
+            continue
+        count = int(first.param1)
+        polygon = items[at : at + count]
+        alike = all((each.command, each.param1) == (first.command, first.param1) for each in polygon)
+        if count < 3 or len(polygon) < count or not alike:
+            return False
+        at += count
+    return True
 
 
 def _refuse_impossible_params(item: MissionItem) -> None:
@@ -162,12 +197,16 @@ def _stored_place(item: MissionItem) -> tuple[int, int, int, float]:
         return mavlink.MAV_FRAME_GLOBAL, _int16(item.x), _int16(item.y), 0.0
     if item.command not in _WITH_POSITION:
         return mavlink.MAV_FRAME_GLOBAL, 0, 0, 0.0
+    return _place_on_earth(item)
+
+
+def _place_on_earth(item: MissionItem) -> tuple[int, int, int, float]:
     if item.frame not in _FRAMES:
         raise RefusedItemError(mavlink.MAV_MISSION_UNSUPPORTED_FRAME)
     if abs(item.x) > 90 * 10**7:
         raise RefusedItemError(mavlink.MAV_MISSION_INVALID_PARAM5_X)
     if abs(item.y) > 180 * 10**7:
         raise RefusedItemError(mavlink.MAV_MISSION_INVALID_PARAM6_Y)
-    if abs(item.z) >= 2**15:
+    if not abs(item.z) < 2**15:
         raise RefusedItemError(mavlink.MAV_MISSION_INVALID_PARAM7)
     return _FRAMES[item.frame], item.x, item.y, round(item.z * 100) / 100

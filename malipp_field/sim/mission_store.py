@@ -14,11 +14,13 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from malipp_field.sim.items import RefusedItemError, item_of, stored
+from malipp_field.sim.items import RefusedItemError, item_of, polygons_are_whole, stored
 from malipp_field.vehicle.items import MissionItem
 
 MAX_ITEMS = 655
 """With home; `AP_Mission` has room for no more on the boards Rover is run on."""
+MAX_FENCE = 255
+MAX_RALLY = 20
 REPEAT_S = 1.0
 GIVE_UP_S = 8.0
 
@@ -52,6 +54,8 @@ class MissionStore:
         MAV_MISSION_TYPE of the items: mission, fence or rally.
     home
         Returns item 0 of a mission, which always is home whatever is uploaded; `None` for other types.
+    max_items
+        How many it has room for, home included.
 
     Attributes
     ----------
@@ -67,8 +71,10 @@ class MissionStore:
         self,
         mission_type: int = mavlink.MAV_MISSION_TYPE_MISSION,
         home: Callable[[], MissionItem] | None = None,
+        max_items: int = MAX_ITEMS,
     ) -> None:
         self.mission_type = mission_type
+        self.max_items = max_items
         self.items: list[MissionItem] = []
         self.current = 0
         self.running = False
@@ -125,11 +131,11 @@ class MissionStore:
         if self._upload is not None and self._upload.uploader != sender:
             return self._denied(sender)
         self._upload = None
-        if count > MAX_ITEMS:
+        if count > self.max_items:
             return [self._ack(sender, mavlink.MAV_MISSION_NO_SPACE)]
-        del self.items[count:]
+        self._make_room(count)
         if count == 0:
-            return [self._ack(sender, mavlink.MAV_MISSION_ACCEPTED)]
+            return [self._ack(sender, self._complete())]
         self._upload = _Upload(sender, count, 0, heard_s=now_s, asked_s=now_s)
         return [self._request(self._upload, now_s)]
 
@@ -151,7 +157,15 @@ class MissionStore:
         if upload.awaited < upload.count:
             return [self._request(upload, now_s)]
         self._upload = None
-        return [self._ack(sender, mavlink.MAV_MISSION_ACCEPTED)]
+        return [self._ack(sender, self._complete())]
+
+    def _make_room(self, count: int, /) -> None:
+        """Truncate what is stored, before any item has arrived: an upload is not atomic."""
+        del self.items[count:]
+
+    def _complete(self) -> int:
+        """Return the result of an upload of which all items have arrived."""
+        return int(mavlink.MAV_MISSION_ACCEPTED)
 
     def _store(self, item: MissionItem) -> None:
         if item.seq < len(self.items):
@@ -199,3 +213,23 @@ class MissionStore:
 
     def _ack(self, to: Sender, result: int) -> Message:
         return mavlink.MAVLink_mission_ack_message(to.system, to.component, result, self.mission_type)
+
+
+class FenceStore(MissionStore):
+    """A fence, which ArduPilot takes over only when it is whole and makes sense, unlike the other types."""
+
+    def __init__(self) -> None:
+        super().__init__(mavlink.MAV_MISSION_TYPE_FENCE, max_items=MAX_FENCE)
+        self._incoming: list[MissionItem] = []
+
+    def _make_room(self, _count: int) -> None:
+        self._incoming = []
+
+    def _store(self, item: MissionItem) -> None:
+        self._incoming.append(item)
+
+    def _complete(self) -> int:
+        if not polygons_are_whole(self._incoming):
+            return int(mavlink.MAV_MISSION_ERROR)
+        self.items = self._incoming
+        return int(mavlink.MAV_MISSION_ACCEPTED)

@@ -1,6 +1,7 @@
 """The parameters a ground station expects of a Rover, and ArduPilot's parameter protocol.
 
-They are kept and survive a restart, as on a vehicle; of them only MIS_RESTART changes what this rover does.
+They are kept and survive a restart, as on a vehicle. Of them MIS_RESTART, MAV_GCS_SYSID and those of the
+ground station failsafe (FS_GCS_ENABLE, FS_GCS_TIMEOUT, FS_TIMEOUT, FS_ACTION) change what this rover does.
 """
 
 from __future__ import annotations
@@ -32,6 +33,7 @@ _ROVER: dict[str, tuple[float, int]] = {
     "FS_EKF_ACTION": (1, _INT8),
     "FS_GCS_ENABLE": (0, _INT8),
     "FS_GCS_TIMEOUT": (5.0, _REAL32),
+    "FS_THR_ENABLE": (1, _INT8),
     "FS_TIMEOUT": (1.5, _REAL32),
     "INITIAL_MODE": (0, _INT8),
     "MAV_GCS_SYSID": (255, _INT16),

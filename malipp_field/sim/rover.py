@@ -9,7 +9,8 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from malipp_field.sim.autopilot import Autopilot, RoverConfig
-from malipp_field.sim.mission_store import MissionStore, Sender
+from malipp_field.sim.failsafe import GcsFailsafe
+from malipp_field.sim.mission_store import MAX_RALLY, FenceStore, MissionStore, Sender
 from malipp_field.sim.params import Parameters
 from malipp_field.sim.telemetry import Telemetry
 from malipp_field.sim.world import World
@@ -63,14 +64,15 @@ class Rover:
     ) -> None:
         self.robot_id, self.world = robot_id, world
         self.system_id = system_id
-        self.parameters = Parameters(MAV_SYSID=system_id)
+        self.parameters = Parameters(MAV_SYSID=system_id, WP_SPEED=world.mission.robot(robot_id).speed_m_s)
+        self._failsafe = GcsFailsafe(self.parameters)
         self.autopilot = Autopilot(robot_id, world, self.parameters, config or RoverConfig(), now_s)
         self.outbox: list[tuple[Peer | None, Any]] = []
         self._telemetry = Telemetry(self.autopilot, world, system_id)
         self._stores = {
             mavlink.MAV_MISSION_TYPE_MISSION: self.autopilot.store,
-            mavlink.MAV_MISSION_TYPE_FENCE: MissionStore(mavlink.MAV_MISSION_TYPE_FENCE),
-            mavlink.MAV_MISSION_TYPE_RALLY: MissionStore(mavlink.MAV_MISSION_TYPE_RALLY),
+            mavlink.MAV_MISSION_TYPE_FENCE: FenceStore(),
+            mavlink.MAV_MISSION_TYPE_RALLY: MissionStore(mavlink.MAV_MISSION_TYPE_RALLY, max_items=MAX_RALLY),
         }
         self.peers: dict[Sender, Peer] = {}
 
@@ -78,10 +80,15 @@ class Rover:
         """Restart the autopilot; stored missions and parameters survive."""
         for store in self._stores.values():
             store.abort()
+        self._failsafe.forget()
         self.autopilot.reboot(now_s)
 
     def step(self, now_s: float) -> None:
         """Live until ``now_s`` and put what is to be said by then into the outbox."""
+        due_s = self._failsafe.due_s()
+        if due_s is not None and due_s <= now_s:
+            self.autopilot.advance(due_s)
+            self._lost_ground()
         self.autopilot.advance(now_s)
         for store in self._stores.values():
             for message in store.poll(now_s):
@@ -92,6 +99,19 @@ class Rover:
         for text in self.autopilot.script.due(now_s):
             self._broadcast([mavlink.MAVLink_statustext_message(mavlink.MAV_SEVERITY_INFO, text.encode())])
         self._broadcast(self._telemetry.due(now_s))
+
+    def _lost_ground(self) -> None:
+        """Act as the failsafe says; in HOLD there is nothing to do, until that mode is left."""
+        autopilot = self.autopilot
+        if autopilot.mode == mavlink.ROVER_MODE_HOLD:
+            return
+        self._failsafe.triggered = True
+        autopilot.say(mavlink.MAV_SEVERITY_WARNING, "GCS Failsafe")
+        in_auto = autopilot.mode == mavlink.ROVER_MODE_AUTO
+        if self._failsafe.holds(in_auto):
+            autopilot.set_mode(mavlink.ROVER_MODE_HOLD)
+        elif in_auto:
+            autopilot.say(mavlink.MAV_SEVERITY_WARNING, "Failsafe - Continuing Auto Mode")
 
     def receive(self, message: Any, peer: Peer, now_s: float) -> None:
         """Handle one message that arrived; what is addressed to another system is ignored."""
@@ -121,12 +141,14 @@ class Rover:
             answers = [mavlink.MAVLink_timesync_message(int(now_s * 1e9), message.ts1)]
         else:
             answers = []
-            self._note(message, kind)
+            self._note(message, kind, now_s)
         return answers
 
-    def _note(self, message: Any, kind: str) -> None:
+    def _note(self, message: Any, kind: str, now_s: float) -> None:
         """Handle what gets no answer; REQUEST_DATA_STREAM is heard, but all streams flow anyway."""
-        if kind == "SET_MODE" and message.base_mode & mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED:
+        if kind == "HEARTBEAT" and self._failsafe.heard(message.get_srcSystem(), now_s):
+            self.autopilot.say(mavlink.MAV_SEVERITY_INFO, "GCS Failsafe Cleared")
+        elif kind == "SET_MODE" and message.base_mode & mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED:
             self.autopilot.set_mode(message.custom_mode)
         elif kind == "NAMED_VALUE_INT" and message.name == ack_name(self.system_id):
             self.autopilot.script.acknowledge(message.value)
