@@ -24,12 +24,11 @@ from malipp_field.bus.messages import (
 )
 from malipp_field.clock import SimClock
 from malipp_field.link import Agent
-from malipp_field.mission import parse_mission
+from malipp_field.mission import Mission, parse_mission
 from malipp_field.sim import Rover, RoverConfig, World
 from malipp_field.vehicle.steps import Action, GeoPoint, Step, VehicleMission
 
-MISSION = parse_mission(
-    """
+TEXT = """
 format: malipp-mission/1
 name: yard
 site:
@@ -49,7 +48,9 @@ team:
     - {id: scout, start: base, depots: [base], empty_mass_kg: 15.0, energy_budget_j: 600000.0,
        payload_capacity: 4, samples_per_node: 2, noise_variance: 0.01, energy_per_kg_m: 3.0, speed_m_s: 10.0}
 """
-)
+MISSION = parse_mission(TEXT)
+FAR = parse_mission(TEXT.replace("x_m: 100.0", "x_m: 600.0").replace("y_m: 60.0", "y_m: 500.0"))
+"""The same with legs of a minute."""
 ROUND = ("drive a", "collect a 1", "collect a 2", "drive b", "collect b 3", "drive base", "unload base 1",
          "unload base 2", "unload base 3")  # fmt: skip
 WORK_DONE = [uid for uid in ROUND if not uid.startswith("drive")]
@@ -93,10 +94,15 @@ class Yard:
     """
 
     def __init__(
-        self, seed: int = 0, loss: float = 0.0, config: RoverConfig | None = None, start_s: float = 1e9
+        self,
+        seed: int = 0,
+        loss: float = 0.0,
+        config: RoverConfig | None = None,
+        start_s: float = 1e9,
+        mission: Mission = MISSION,
     ) -> None:
         self.clock = SimClock(start_s)
-        self.world = World(MISSION)
+        self.world = World(mission)
         self.rover = Rover("scout", self.world, SYSTEM, self.clock.now_s(), config)
         self.bus = FakeBus()
         self.agent = Agent("yard", "scout", ("rover", 14550), SYSTEM, self.bus, self.clock, self._open)
@@ -105,6 +111,7 @@ class Yard:
         self.cut = self.deaf = False
         self.heard: list[Any] = []
         self.watch: Callable[[Any], None] = lambda message: None
+        self.on_send: Callable[[Any], None] = lambda message: None
 
     async def _open(self, url: str, on_message: Callable[[Any], None]) -> Yard:
         assert url == "udpout:rover:14550"
@@ -112,6 +119,7 @@ class Yard:
         return self
 
     def send(self, message: Any) -> None:
+        self.on_send(message)
         if not self.cut:
             self.up.put(from_ground(message), self.clock.now_s())
 

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import pytest
 from link_cases import (
@@ -19,8 +20,10 @@ from link_cases import (
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from malipp_field.link.compare import differences
-from malipp_field.link.mission_protocol import MissionClear, MissionDownload, MissionUpload
-from malipp_field.sim.mission_store import Sender
+from malipp_field.link.mission_protocol import MissionClear, MissionDownload, MissionType, MissionUpload
+from malipp_field.link.parameters import ParameterRead
+from malipp_field.sim.mission_store import FenceStore, MissionStore, Sender
+from malipp_field.vehicle.items import MissionItem
 
 VEHICLES: list[Callable[[], MissionVehicle]] = [ardupilot, SpecVehicle]
 
@@ -254,3 +257,89 @@ def test_the_ground_is_whom_the_vehicle_answers() -> None:
         from_ground(mavlink.MAVLink_mission_count_message(SYSTEM, 1, 3)), GROUND, 0.0
     )
     assert (answers[0].target_system, answers[0].target_component) == ids()
+
+
+def corners(count: int, command: int = 5001) -> list[MissionItem]:
+    return [
+        MissionItem(n, 0, command, 0, 1, float(count), 0.0, 0.0, 0.0, 340000000 + 1000 * n, -1180000000, 0.0)
+        for n in range(count)
+    ]
+
+
+RALLY = [item._replace(command=5100, frame=3, param1=0.0) for item in corners(3)]
+BESIDE = [
+    (MissionType.FENCE, FenceStore, corners(5)),
+    (MissionType.RALLY, lambda: MissionStore(mavlink.MAV_MISSION_TYPE_RALLY, max_items=20), RALLY),
+]
+
+
+@pytest.mark.parametrize(("kind", "make", "items"), BESIDE)
+@pytest.mark.parametrize("loss", [0.0, 0.3])
+def test_fence_and_rally_points_travel_by_the_same_protocol(
+    kind: MissionType, make: Callable[[], MissionStore], items: list[MissionItem], loss: float
+) -> None:
+    for seed in range(8):
+        store = make()
+        upload = MissionUpload(items, SYSTEM, mission_type=kind)
+        converse(upload, store, seed=seed, loss=loss)
+        assert upload.done, upload.failure
+        download = MissionDownload(SYSTEM, mission_type=kind)
+        converse(download, store, seed=seed + 500, loss=loss, start_s=2000.0)
+        assert differences(items, download.items, home=False) == []
+        clear = MissionClear(SYSTEM, mission_type=kind)
+        converse(clear, store, seed=seed + 900, loss=loss, start_s=4000.0)
+        assert clear.done
+        assert store.items == []
+
+
+def test_answers_about_another_type_are_not_heard() -> None:
+    upload = MissionUpload(corners(3), SYSTEM, mission_type=MissionType.FENCE)
+    upload.start(0.0)
+    assert upload.receive(framed(mavlink.MAVLink_mission_request_message(*ids(), 0, 0)), 0.1) == []
+    (item,) = upload.receive(framed(mavlink.MAVLink_mission_request_message(*ids(), 0, 1)), 0.1)
+    assert (item.mission_type, item.command) == (1, 5001)
+
+
+def test_a_fence_that_is_not_whole_is_refused_and_the_one_before_stays() -> None:
+    store = FenceStore()
+    converse(MissionUpload(corners(4), SYSTEM, mission_type=MissionType.FENCE), store, bad=False)
+    upload = MissionUpload(corners(5)[:4], SYSTEM, mission_type=MissionType.FENCE)
+    converse(upload, store, bad=False)
+    assert "MAV_MISSION_ERROR" in (upload.failure or "")
+    assert differences(corners(4), store.items, home=False) == []
+
+
+def test_too_many_rally_points_are_refused_by_name() -> None:
+    store = MissionStore(mavlink.MAV_MISSION_TYPE_RALLY, max_items=2)
+    upload = MissionUpload(RALLY, SYSTEM, mission_type=MissionType.RALLY)
+    converse(upload, store, bad=False)
+    assert "a rally points upload of 3 items was refused (MAV_MISSION_NO_SPACE" in (upload.failure or "")
+
+
+def test_a_fence_without_home_is_compared_from_its_first_item() -> None:
+    moved = [corners(3)[0]._replace(x=350000000), *corners(3)[1:]]
+    assert differences(moved, corners(3)) == []
+    (found,) = differences(moved, corners(3), home=False)
+    assert found.startswith("item 0 (NAV_FENCE_POLYGON_VERTEX_INCLUSION): the place on board is")
+
+
+def read(name: str, value: float, index: int = 0) -> Any:
+    return framed(mavlink.MAVLink_param_value_message(name.encode(), value, 9, 30, index))
+
+
+def test_a_parameter_is_asked_for_by_all_its_names_until_one_is_answered() -> None:
+    asking = ParameterRead(("MAV_GCS_SYSID", "SYSID_MYGCS"), SYSTEM)
+    assert [m.param_id for m in asking.start(0.0)] == ["MAV_GCS_SYSID", "SYSID_MYGCS"]
+    assert asking.receive(read("FS_ACTION", 2.0), 0.1) == []
+    assert not asking.ended
+    assert len(asking.tick(1.6)) == 2
+    asking.receive(read("SYSID_MYGCS", 255.0), 1.7)
+    assert (asking.done, asking.value) == (True, 255.0)
+
+
+def test_a_parameter_that_is_not_there_is_named() -> None:
+    asking = ParameterRead(("FS_GCS_TIMEOUT",), SYSTEM)
+    asking.start(0.0)
+    for tenth in range(1, 200):
+        asking.tick(tenth / 10)
+    assert asking.failure == f"vehicle {SYSTEM} does not tell its parameter FS_GCS_TIMEOUT"
