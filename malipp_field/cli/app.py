@@ -23,6 +23,7 @@ from malipp_field import __version__
 from malipp_field.cli.bench import bench
 from malipp_field.cli.script import script
 from malipp_field.cli.times import utc_seconds
+from malipp_field.cli.upload import upload, vehicles
 from malipp_field.errors import InputError, MalippError, PlanError
 
 if TYPE_CHECKING:
@@ -288,6 +289,8 @@ def review(
         os.execv(sys.executable, [sys.executable, "-m", "rerun", str(target)])
 
 
+app.command(short_help="Put the missions of a plan on the vehicles.")(upload)
+app.command(short_help="Show the vehicles, and what is on them.")(vehicles)
 app.command(short_help="Run the paper's experiments: tables, figures, a page.")(bench)
 app.command(short_help="Write the payload script for ArduPilot rovers.")(script)
 

@@ -170,12 +170,15 @@ class Driver:
             await self.enter("HOLD")
         await self.point_at(seq)
 
-    async def point_at(self, seq: int) -> None:
-        """Make item ``seq`` current, whatever the vehicle is doing; in AUTO it turns to it at once."""
+    async def point_at(self, seq: int, last: int | None = None) -> None:
+        """Make item ``seq`` current, whatever the vehicle is doing; in AUTO it turns to it at once.
+
+        DO commands are never current: where ``seq`` is one, what follows it up to ``last`` will do.
+        """
         await self._command(mavlink.MAV_CMD_DO_SET_MISSION_CURRENT, float(seq))
-        before = self.vehicle.mission_reports
+        before, ahead = self.vehicle.mission_reports, range(seq, (last or seq) + 1)
         await self._see(
-            lambda v: v.mission_reports > before and v.current_seq == seq, f"make item {seq} current"
+            lambda v: v.mission_reports > before and v.current_seq in ahead, f"make item {seq} current"
         )
 
     async def launch(self) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import random
 from collections.abc import Awaitable, Callable, Coroutine
-from typing import Any, TypeVar
+from typing import Any, Self, TypeVar
 
 from link_cases import STEP_S, SYSTEM, Wire, framed, from_ground
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -168,7 +168,7 @@ class Yard:
             assert self.clock.now_s() < end_s, "it does not happen"
             await self.live()
 
-    def run(self, scene: Callable[[Yard], Coroutine[Any, Any, ResultT]]) -> ResultT:
+    def run(self, scene: Callable[[Self], Coroutine[Any, Any, ResultT]]) -> ResultT:
         """Run a scene with the agent at work."""
 
         async def whole() -> ResultT:

@@ -120,7 +120,7 @@ def test_loss_duplicates_delays_and_the_wrong_order(occasion: str, loss: float) 
         check(yard)
         await make_good(yard)
 
-    GuardedYard(seed=int(100 * loss) + 7, loss=loss, **GUARDED).run(scene)  # type: ignore[arg-type]
+    GuardedYard(seed=int(100 * loss) + 7, loss=loss, **GUARDED).run(scene)
 
 
 @pytest.mark.parametrize("occasion", OCCASIONS)
@@ -187,7 +187,7 @@ def test_a_refused_item(occasion: str, seq: int) -> None:
             return honest(message, sender, at_s)
 
         load = await begin(yard, occasion)
-        store.receive = receive  # type: ignore[method-assign]
+        store.receive = receive  # type: ignore[method-assign, assignment]
         await settle(yard, load)
         assert f"item {seq} (NAV_" in load.result().text
         assert "MAV_MISSION_INVALID_PARAM1" in load.result().text

@@ -43,7 +43,7 @@ def test_a_vehicle_on_a_leg_of_both_missions_is_not_stopped(loss: float) -> None
         await yard.until(lambda: yard.telemetry.finished, limit_s=600.0)
         assert [uid for _, uid, _ in yard.confirmed] == ALL_DONE
 
-    GuardedYard(seed=1, loss=loss, **GUARDED).run(scene)  # type: ignore[arg-type]
+    GuardedYard(seed=1, loss=loss, **GUARDED).run(scene)
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,224 @@
+"""`malipp upload`: the missions of a plan, on all vehicles or on none; `malipp vehicles`: what is on them."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Sequence
+from contextlib import AsyncExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from malipp_field.cli.files import MissionFile, PlanFile, verified
+from malipp_field.errors import InputError, LinkError, PlanError
+
+if TYPE_CHECKING:
+    from malipp_field.link.contact import Contact
+    from malipp_field.link.mission_protocol import MissionType
+    from malipp_field.link.transaction import Member
+    from malipp_field.mission import Mission
+    from malipp_field.plan import Plan
+    from malipp_field.vehicle.items import MissionItem
+
+    Wanted = dict[str, dict[MissionType, list[MissionItem]]]
+
+NOT_DONE, UNKNOWN = 6, 7
+
+RobotNames = Annotated[
+    list[str] | None,
+    typer.Option("--robot", metavar="R", help="Only this robot; may be given again. All if not given."),
+]
+LinkUrls = Annotated[
+    list[str] | None,
+    typer.Option("--link", metavar="R=URL", help="A robot's link, in place of the mission file's."),
+]
+
+
+def upload(
+    mission_file: MissionFile,
+    plan_file: PlanFile,
+    robot: RobotNames = None,
+    link: LinkUrls = None,
+    fence: Annotated[
+        bool, typer.Option("--fence/--no-fence", help="Replace fence and rally points too, or not.")
+    ] = True,
+    hold: Annotated[bool, typer.Option("--hold", help="Stop vehicles that may be driving.")] = False,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would be sent; send nothing.")] = False,
+) -> None:
+    """Put the missions of a plan on all its vehicles, or on none. Nothing is started.
+
+    What is on each vehicle is read first; new missions are read back and compared. If one fails, or at
+    Ctrl-C, all are given back what they had. A vehicle that may be driving is a reason not to begin.
+
+    Exit status: 0 when all have their new missions, 2 for what you can mend, 6 when nobody has (all have what
+    they had), 7 when of some vehicle it is not known.
+    """
+    mission, plan = verified(mission_file, plan_file)
+    wanted = _wanted(mission, plan, _chosen(mission, robot), fence=fence)
+    links = _links(mission, wanted, link, needed=not dry_run)
+    if dry_run:
+        for name, lists in wanted.items():
+            counts = ", ".join(f"{kind.word} {len(items)}" for kind, items in lists.items())
+            typer.echo(f"{name}: {links.get(name, 'no link')}: items: {counts}")
+        return
+    states = asyncio.run(_upload(mission, wanted, links, hold=hold))
+    if "unknown" in states:
+        raise typer.Exit(UNKNOWN)
+    if "had" in states:
+        raise typer.Exit(NOT_DONE)
+
+
+def vehicles(
+    mission_file: MissionFile,
+    plan_file: Annotated[
+        Path | None, typer.Option("--plan", metavar="PLAN", help="Compare with the missions of this plan.")
+    ] = None,
+    robot: RobotNames = None,
+    link: LinkUrls = None,
+) -> None:
+    """Show which vehicles are heard, what they are doing, and which missions are on them.
+
+    Exit status: 0 when all are heard and have the missions of the plan, if one is given; else 6.
+    """
+    from malipp_field.cli.display import out
+    from malipp_field.mission import read_mission
+
+    mission, wanted = read_mission(mission_file), None
+    robots = _chosen(mission, robot)
+    if plan_file is not None:
+        wanted = _wanted(*verified(mission_file, plan_file), robots, fence=False)
+    links = _links(mission, robots, link, needed=True)
+    lines = asyncio.run(_look(mission, wanted, links))
+    for name, (words, _) in lines.items():
+        out.print(f"{name}: {words}", soft_wrap=True)
+    if not all(right for _, right in lines.values()):
+        raise typer.Exit(NOT_DONE)
+
+
+def _chosen(mission: Mission, names: Sequence[str] | None) -> list[str]:
+    robots = [each.id for each in mission.team.robots]
+    for name in names or ():
+        if name not in robots:
+            raise InputError("--robot", None, "", f"there is no robot '{name}', only {', '.join(robots)}")
+    return [name for name in robots if not names or name in names]
+
+
+def _wanted(mission: Mission, plan: Plan, robots: Sequence[str], *, fence: bool) -> Wanted:
+    """Return what every vehicle is to have. A site without a fence leaves the one that is on board."""
+    from malipp_field.link.mission_protocol import MissionType
+    from malipp_field.vehicle.compile import compile_plan
+    from malipp_field.vehicle.fence import fence_items, rally_items
+    from malipp_field.vehicle.layout import lay_out
+
+    origin = mission.site.origin
+    if origin is None:
+        raise PlanError(
+            f"mission '{mission.name}' has no site.origin: an abstract site has no degrees to send"
+        )
+    compiled = compile_plan(mission, plan).missions
+    lists: Wanted = {}
+    for name in robots:
+        lists[name] = {MissionType.MISSION: lay_out(compiled[name]).items}
+        if fence:
+            corners = fence_items(mission, origin)
+            lists[name] |= {MissionType.FENCE: corners} if corners else {}
+            lists[name] |= {MissionType.RALLY: rally_items(mission, origin, name)}
+    return lists
+
+
+def _links(
+    mission: Mission, robots: Sequence[str] | Wanted, given: Sequence[str] | None, *, needed: bool
+) -> dict[str, str]:
+    """Return the links by robot, those of the command line before those of the mission file."""
+    links = {name: url for name in robots if (url := mission.vehicle(name).link) is not None}
+    for each in given or ():
+        name, is_one, url = each.partition("=")
+        if not is_one or name not in [robot.id for robot in mission.team.robots]:
+            raise InputError("--link", None, "", f"'{each}' is not ROBOT=URL with a robot of the mission")
+        if name in robots:
+            links[name] = url
+    for name in robots:
+        if needed and name not in links:
+            raise InputError(
+                "--link", None, "", f"'{name}' has no link: give --link {name}=URL, or vehicles.{name}.link"
+            )
+    return links
+
+
+async def _upload(mission: Mission, wanted: Wanted, links: dict[str, str], *, hold: bool) -> list[str]:
+    from malipp_field.cli.display import ProgressLine, err, out
+    from malipp_field.link.transaction import Member, Transaction
+
+    doing: dict[str, str] = {}
+    async with AsyncExitStack() as stack:
+        members: list[Member] = []
+        for name, lists in wanted.items():
+            contact = await stack.enter_async_context(_contact(mission, name, links[name]))
+            members.append(Member(name, contact.driver, lists))
+        line = stack.enter_context(ProgressLine("uploading"))
+
+        def tell(name: str, words: str) -> None:
+            doing[name] = words
+            line.show("; ".join(f"{each} {what}" for each, what in doing.items()))
+
+        try:
+            await Transaction(members, hold=hold, on_progress=tell).run()
+        finally:  # after Ctrl-C as well
+            for member in members:
+                (out if member.state == "wanted" else err).print(
+                    f"{member.robot}: {member.words}", soft_wrap=True
+                )
+    return [member.state for member in members]
+
+
+async def _look(
+    mission: Mission, wanted: Wanted | None, links: dict[str, str]
+) -> dict[str, tuple[str, bool]]:
+    """Return what each vehicle is doing and has on board, in words, and whether that is as wanted."""
+    async with AsyncExitStack() as stack:
+        contacts = {
+            name: await stack.enter_async_context(_contact(mission, name, url)) for name, url in links.items()
+        }
+        async with asyncio.TaskGroup() as group:
+            looks = {
+                name: group.create_task(_look_at(contact, None if wanted is None else wanted[name]))
+                for name, contact in contacts.items()
+            }
+    return {name: look.result() for name, look in looks.items()}
+
+
+async def _look_at(contact: Contact, wanted: dict[MissionType, list[MissionItem]] | None) -> tuple[str, bool]:
+    from malipp_field.link.compare import differences
+    from malipp_field.link.mission_protocol import MissionType
+
+    driver = contact.driver
+    try:
+        await driver.hear()
+        there = await driver.download()
+    except LinkError as fault:
+        return str(fault), False
+    state = f"{driver.vehicle.mode}, {'armed' if driver.vehicle.armed else 'disarmed'}"
+    count = max(0, len(there) - 1)
+    words = f"{state}, {count} mission items after home" if count else f"{state}, no mission"
+    if wanted is None:
+        return words, True
+    found = differences(wanted[MissionType.MISSION], there)
+    return f"{words}: {'not the plan: ' + found[0] if found else 'those of the plan'}", not found
+
+
+def _contact(mission: Mission, robot: str, url: str) -> Contact:
+    """Return the vehicle's contact; entering it opens the link."""
+    from malipp_field.clock import WallClock
+    from malipp_field.link.connection import MavConnection
+    from malipp_field.link.contact import Contact
+
+    settings, station = mission.vehicle(robot), mission.ground_station
+    assert settings.system_id is not None
+    own = (station.system_id, station.component_id)
+    return Contact(
+        (settings.system_id, settings.component_id),
+        lambda on_message: MavConnection.open(url, on_message, *own),
+        WallClock(),
+        own,
+    )

@@ -1,0 +1,150 @@
+"""`malipp upload` and `malipp vehicles` with simulated rovers on this machine, on the real clock."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from malipp_field.cli.app import main
+from malipp_field.clock import WallClock
+from malipp_field.mission import parse_mission, read_mission
+from malipp_field.plan import Plan, write_plan
+from malipp_field.planner import solve
+from malipp_field.sim import Fleet
+from malipp_field.sim.rover import Rover
+
+TEXT = """
+format: malipp-mission/1
+name: yard
+site:
+  origin: {lat_deg: 34.0219, lon_deg: -118.2870, alt_m: 60.0}
+  nodes:
+    - {id: base, x_m: 0.0, y_m: 0.0, role: depot}
+    - {id: a, x_m: 40.0, y_m: 0.0}
+    - {id: b, x_m: 40.0, y_m: 30.0}
+  complete: true
+  fence: [{x_m: -5.0, y_m: -5.0}, {x_m: 60.0, y_m: -5.0}, {x_m: 60.0, y_m: 50.0}, {x_m: -5.0, y_m: 50.0}]
+field:
+  kernel: {family: rbf, length_scale_m: 30.0, variance: 2.0}
+  test_points: [{x_m: 50.0, y_m: 20.0}]
+team:
+  sample_mass_kg: 1.0
+  robots:
+    - {id: scout, start: base, depots: [base], empty_mass_kg: 15.0, energy_budget_j: 6000.0,
+       payload_capacity: 2, samples_per_node: 1, noise_variance: 0.01, energy_per_kg_m: 3.0, speed_m_s: 1.0}
+    - {id: mule, start: base, depots: [base], empty_mass_kg: 15.0, energy_budget_j: 6000.0,
+       payload_capacity: 2, samples_per_node: 1, noise_variance: 0.02, energy_per_kg_m: 3.0, speed_m_s: 1.0}
+"""
+
+
+@pytest.fixture(scope="module")
+def plan() -> Plan:
+    return solve(parse_mission(TEXT), method="seq")
+
+
+@pytest.fixture
+def files(tmp_path: Path, plan: Plan) -> tuple[Path, Path]:
+    mission_file, plan_file = tmp_path / "yard.yaml", tmp_path / "plan.json"
+    mission_file.write_text(TEXT, encoding="utf-8")
+    write_plan(plan, plan_file)
+    return mission_file, plan_file
+
+
+@contextmanager
+def rovers(mission_file: Path) -> Iterator[tuple[dict[str, Rover], list[str]]]:
+    """Simulated rovers in a thread of their own, and the options that name their links."""
+    started, over = threading.Event(), threading.Event()
+    fleets: list[Fleet] = []
+
+    async def live() -> None:
+        async with Fleet(read_mission(mission_file), WallClock()) as fleet:
+            fleets.append(fleet)
+            started.set()
+            await asyncio.to_thread(over.wait)
+
+    thread = threading.Thread(target=lambda: asyncio.run(live()))
+    thread.start()
+    try:
+        assert started.wait(30.0)
+        links = [
+            word
+            for robot, (host, port) in fleets[0].endpoints.items()
+            for word in ("--link", f"{robot}=udpout:{host}:{port}")
+        ]
+        yield fleets[0].rovers, links
+    finally:
+        over.set()
+        thread.join()
+
+
+def status(*arguments: str | Path) -> int:
+    with pytest.raises(SystemExit) as ended:
+        main([str(argument) for argument in arguments])
+    return int(ended.value.code or 0)
+
+
+def test_all_get_their_missions_and_it_is_seen(
+    files: tuple[Path, Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    with rovers(files[0]) as (fleet, links):
+        assert status("vehicles", files[0], "--plan", files[1], *links) == 6
+        assert "no mission: not the plan" in capsys.readouterr().out
+        assert status("upload", *files, *links) == 0
+        said = capsys.readouterr().out
+        assert "scout: has its new mission, read back and compared" in said
+        assert "mule: has its new mission, read back and compared" in said
+        for rover in fleet.values():
+            assert [len(store.items) for store in rover._stores.values()][1:] == [4, 1]
+            assert len(rover.autopilot.store.items) > 2
+            assert not rover.autopilot.armed
+        assert status("vehicles", files[0], "--plan", files[1], *links) == 0
+        assert "those of the plan" in capsys.readouterr().out
+
+
+def test_one_that_refuses_keeps_all_from_theirs(
+    files: tuple[Path, Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    with rovers(files[0]) as (fleet, links):
+        fleet["mule"].autopilot.store.max_items = 2
+        assert status("upload", *files, *links) == 6
+        said = capsys.readouterr().err
+        assert "scout: has what it had" in said
+        assert "mule: has what it had (a mission upload of" in said
+        assert "MAV_MISSION_NO_SPACE" in said
+        assert [len(rover.autopilot.store.items) for rover in fleet.values()] == [0, 0]
+
+
+def test_a_dry_run_sends_nothing_and_needs_no_link(
+    files: tuple[Path, Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert status("upload", *files, "--robot", "scout", "--dry-run") == 0
+    assert "scout: no link: items: mission" in capsys.readouterr().out
+    assert status("upload", *files, "--robot", "scout", "--dry-run", "--no-fence") == 0
+    assert "fence" not in capsys.readouterr().out
+
+
+def test_bad_input_is_one_line(files: tuple[Path, Path], capsys: pytest.CaptureFixture[str]) -> None:
+    for options, problem in (
+        ((), "'scout' has no link: give --link scout=URL"),
+        (("--robot", "nobody"), "there is no robot 'nobody', only scout, mule"),
+        (("--link", "udpout:1.2.3.4:5"), "is not ROBOT=URL with a robot of the mission"),
+        (("--link", "scout=nonsense", "--robot", "scout"), "'nonsense' is not a link"),
+    ):
+        assert status("upload", *files, *options) == 2
+        said = capsys.readouterr().err
+        assert problem in said
+        assert "Traceback" not in said
+
+
+def test_an_abstract_site_cannot_be_sent(
+    files: tuple[Path, Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = "\n".join(line for line in TEXT.splitlines() if "origin" not in line)
+    files[0].write_text(text, encoding="utf-8")
+    assert status("upload", *files, "--dry-run") == 2
+    assert "an abstract site has no degrees to send" in capsys.readouterr().err
