@@ -9,9 +9,10 @@ from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
-from sim_cases import item_int, of
+from sim_cases import ground_for, item_int, numbered, of, site, waypoint
 
-from malipp_field.sim.mission_store import MAX_ITEMS, MissionStore, Sender
+from malipp_field.sim import RoverConfig
+from malipp_field.sim.mission_store import MAX_ITEMS, MAX_RALLY, FenceStore, MissionStore, Sender
 from malipp_field.vehicle.items import MissionItem
 
 US = Sender(255, 190)
@@ -160,6 +161,42 @@ def test_there_is_room_for_655_items() -> None:
     assert results(store.receive(count(MAX_ITEMS + 1), US, 0.0)) == [mavlink.MAV_MISSION_NO_SPACE]
     assert results(upload(store, mission(655))) == [mavlink.MAV_MISSION_ACCEPTED]
     assert len(store.items) == 655
+
+
+def test_how_many_items_there_is_room_for_may_be_configured() -> None:
+    ground = ground_for(site(), config=RoverConfig(max_items=4))
+    world = ground.rover.world
+    items = numbered(world, [waypoint(world, "a")] * 4)
+    assert ground.upload(items) == mavlink.MAV_MISSION_NO_SPACE
+    assert ground.upload(items[:4]) == mavlink.MAV_MISSION_ACCEPTED
+
+
+def test_rally_points_come_back_as_they_were_sent_but_for_whole_metres_of_height() -> None:
+    store = MissionStore(mavlink.MAV_MISSION_TYPE_RALLY, max_items=MAX_RALLY)
+    point = mission(1)[0]._replace(command=mavlink.MAV_CMD_NAV_RALLY_POINT, z=3.9)
+    assert results(upload_typed(store, [point], 2)) == [mavlink.MAV_MISSION_ACCEPTED]
+    assert store.items == [point._replace(z=3.0)]
+    absolute = point._replace(frame=mavlink.MAV_FRAME_GLOBAL)
+    assert results(upload_typed(store, [absolute], 2)) == [mavlink.MAV_MISSION_UNSUPPORTED_FRAME]
+
+
+def test_a_fence_is_taken_over_whole_or_not_at_all() -> None:
+    store = FenceStore()
+    command = mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_EXCLUSION
+    corners = [item._replace(frame=0, command=command, param1=3.0) for item in mission(3)]
+    assert results(upload_typed(store, corners, 1)) == [mavlink.MAV_MISSION_ACCEPTED]
+    store.receive(count(2, 1), US, 0.0)  # unlike that of a mission, this count truncates nothing
+    assert store.items == corners
+    for broken in (corners[:2], [corners[0]._replace(param1=4.0), *corners[1:]]):
+        assert results(upload_typed(store, broken, 1)) == [mavlink.MAV_MISSION_ERROR]
+        assert store.items == corners
+
+
+def upload_typed(store: MissionStore, items: list[MissionItem], mission_type: int) -> list[Any]:
+    answers = store.receive(count(len(items), mission_type), US, 0.0)
+    while asked(answers):
+        answers = store.receive(item_int(items[asked(answers)[-1]], mission_type), US, 0.0)
+    return answers
 
 
 @pytest.mark.parametrize("clear", [count(0), mavlink.MAVLink_mission_clear_all_message(1, 1)])
