@@ -1,4 +1,4 @@
-"""The `malipp` command: plan, verify, export, sim, run, review, bench, script.
+"""The `malipp` command: plan, verify, check, export, script, upload, vehicles, sim, run, review, bench.
 
 A fault the user can mend is one line on stderr and exit status 2. `plan` and `run` exit with 3 when the
 mission is proven infeasible and with 4 when a limit came before the first plan, `run` with 5 when not every
@@ -21,8 +21,10 @@ import typer
 
 from malipp_field import __version__
 from malipp_field.cli.bench import bench
+from malipp_field.cli.check import check, show_faults
+from malipp_field.cli.files import MissionFile, PlanFile, verified
 from malipp_field.cli.script import script
-from malipp_field.cli.times import utc_seconds
+from malipp_field.cli.times import StartTime
 from malipp_field.cli.upload import upload, vehicles
 from malipp_field.errors import InputError, MalippError, PlanError
 
@@ -65,10 +67,6 @@ class Format(StrEnum):
     GEOJSON = "geojson"
 
 
-MissionFile = Annotated[
-    Path, typer.Argument(metavar="MISSION", help="Mission file (malipp-mission/1, YAML).")
-]
-PlanFile = Annotated[Path, typer.Argument(metavar="PLAN", help="Plan file (malipp-plan/1, JSON).")]
 Seconds = Annotated[
     float | None, typer.Option("--time-limit", min=0.001, metavar="S", help="Seconds to plan.")
 ]
@@ -203,18 +201,15 @@ def export(
         ),
     ],
     output: Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="Folder to write to.")],
-    start: Annotated[
-        float | None,
-        typer.Option(
-            parser=utc_seconds,
-            metavar="UTC",
-            help="When the mission starts, such as 2026-11-22T16:00Z; without it no gate opens by time.",
-        ),
-    ] = None,
+    start: StartTime = None,
 ) -> None:
-    """Write one vehicle mission file a robot, or a map, and what ties each item to its stop and samples."""
-    mission, found = _verified(mission_file, plan_file)
+    """Write one vehicle mission file a robot, or a map, and what ties each item to its stop and samples.
+
+    What `malipp check` finds wrong with them is said on stderr; the files are written all the same.
+    """
+    mission, found = verified(mission_file, plan_file)
     _folder(output)
+    show_faults(mission, found, start)
     for path in _export(mission, found, file_format, output, start):
         typer.echo(path)
 
@@ -252,7 +247,7 @@ def run(
     from malipp_field.plan import write_plan
 
     mission = _mission(mission_file)
-    given = None if plan_file is None else _verified(mission_file, plan_file)[1]
+    given = None if plan_file is None else verified(mission_file, plan_file)[1]
     _folder(output)
     _folder(output / "export")
     for name in RESULTS:
@@ -261,6 +256,8 @@ def run(
     write_plan(found, output / "plan.json")
     _show_plan(mission, found)
     _stop_without_routes(found)
+    if show_faults(mission, found):
+        raise PlanError("the missions of the plan are not to be uploaded")
     if not whole_run(mission, mission_file, found, output, speed):
         raise typer.Exit(INCOMPLETE)
 
@@ -289,6 +286,7 @@ def review(
         os.execv(sys.executable, [sys.executable, "-m", "rerun", str(target)])
 
 
+app.command(short_help="Check vehicle missions before an upload.")(check)
 app.command(short_help="Put the missions of a plan on the vehicles.")(upload)
 app.command(short_help="Show the vehicles, and what is on them.")(vehicles)
 app.command(short_help="Run the paper's experiments: tables, figures, a page.")(bench)
@@ -353,19 +351,6 @@ def _stop_without_routes(found: Plan) -> None:
         raise typer.Exit(INFEASIBLE)
     if found.status == "no_plan":
         raise typer.Exit(LIMIT_REACHED)
-
-
-def _verified(mission_file: Path, plan_file: Path) -> tuple[Mission, Plan]:
-    """Read a mission and a plan of it, and let no plan pass that breaks a rule."""
-    from malipp_field.plan import read_plan
-    from malipp_field.planner import check
-
-    mission, found = _mission(mission_file), read_plan(plan_file)
-    try:
-        check(mission, found)
-    except PlanError as fault:
-        raise InputError(str(plan_file), None, "", str(fault)) from None
-    return mission, found
 
 
 def _export(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from datetime import UTC, datetime
+from typing import Annotated
 
 import typer
 
@@ -20,3 +21,14 @@ def utc_seconds(text: str) -> float:
     except ValueError:
         raise typer.BadParameter(f"'{text}' is no time such as 2026-11-22T16:00Z") from None
     return (time if time.tzinfo else time.replace(tzinfo=UTC)).timestamp()
+
+
+StartTime = Annotated[
+    float | None,
+    typer.Option(
+        "--start",
+        parser=utc_seconds,
+        metavar="UTC",
+        help="When the mission starts, such as 2027-05-04T09:30Z; without it no gate opens by time.",
+    ),
+]

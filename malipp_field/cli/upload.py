@@ -10,7 +10,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from malipp_field.cli.check import show_faults
 from malipp_field.cli.files import MissionFile, PlanFile, verified
+from malipp_field.cli.times import StartTime
 from malipp_field.errors import InputError, LinkError, PlanError
 
 if TYPE_CHECKING:
@@ -43,20 +45,24 @@ def upload(
     fence: Annotated[
         bool, typer.Option("--fence/--no-fence", help="Replace fence and rally points too, or not.")
     ] = True,
+    start: StartTime = None,
     hold: Annotated[bool, typer.Option("--hold", help="Stop vehicles that may be driving.")] = False,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would be sent; send nothing.")] = False,
 ) -> None:
     """Put the missions of a plan on all its vehicles, or on none. Nothing is started.
 
-    What is on each vehicle is read first; new missions are read back and compared. If one fails, or at
-    Ctrl-C, all are given back what they had. A vehicle that may be driving is a reason not to begin.
+    What `malipp check` finds is said first; with errors nothing is sent. What is on each vehicle is read
+    before anything else; new missions are read back and compared. If one fails, or at Ctrl-C, all are given
+    back what they had. A vehicle that may be driving is a reason not to begin.
 
     Exit status: 0 when all have their new missions, 2 for what you can mend, 6 when nobody has (all have what
     they had), 7 when of some vehicle it is not known.
     """
     mission, plan = verified(mission_file, plan_file)
-    wanted = _wanted(mission, plan, _chosen(mission, robot), fence=fence)
+    wanted = _wanted(mission, plan, _chosen(mission, robot), start, fence=fence)
     links = _links(mission, wanted, link, needed=not dry_run)
+    if show_faults(mission, plan, start):
+        raise InputError(str(plan_file), None, "", "nothing is sent: see the errors above")
     if dry_run:
         for name, lists in wanted.items():
             counts = ", ".join(f"{kind.word} {len(items)}" for kind, items in lists.items())
@@ -76,6 +82,7 @@ def vehicles(
     ] = None,
     robot: RobotNames = None,
     link: LinkUrls = None,
+    start: StartTime = None,
 ) -> None:
     """Show which vehicles are heard, what they are doing, and which missions are on them.
 
@@ -87,7 +94,7 @@ def vehicles(
     mission, wanted = read_mission(mission_file), None
     robots = _chosen(mission, robot)
     if plan_file is not None:
-        wanted = _wanted(*verified(mission_file, plan_file), robots, fence=False)
+        wanted = _wanted(*verified(mission_file, plan_file), robots, start, fence=False)
     links = _links(mission, robots, link, needed=True)
     lines = asyncio.run(_look(mission, wanted, links))
     for name, (words, _) in lines.items():
@@ -104,7 +111,9 @@ def _chosen(mission: Mission, names: Sequence[str] | None) -> list[str]:
     return [name for name in robots if not names or name in names]
 
 
-def _wanted(mission: Mission, plan: Plan, robots: Sequence[str], *, fence: bool) -> Wanted:
+def _wanted(
+    mission: Mission, plan: Plan, robots: Sequence[str], start_s: float | None, *, fence: bool
+) -> Wanted:
     """Return what every vehicle is to have. A site without a fence leaves the one that is on board."""
     from malipp_field.link.mission_protocol import MissionType
     from malipp_field.vehicle.compile import compile_plan
@@ -116,7 +125,7 @@ def _wanted(mission: Mission, plan: Plan, robots: Sequence[str], *, fence: bool)
         raise PlanError(
             f"mission '{mission.name}' has no site.origin: an abstract site has no degrees to send"
         )
-    compiled = compile_plan(mission, plan).missions
+    compiled = compile_plan(mission, plan, start_s=start_s).missions
     lists: Wanted = {}
     for name in robots:
         lists[name] = {MissionType.MISSION: lay_out(compiled[name]).items}

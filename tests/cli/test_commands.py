@@ -124,7 +124,7 @@ def test_an_infeasible_mission_is_status_3_with_the_reason(
 def test_help_says_what_each_command_does(capsys: pytest.CaptureFixture[str]) -> None:
     assert status("--help") == 0
     said = capsys.readouterr().out
-    for command in ("plan", "verify", "export", "sim", "run", "review"):
+    for command in ("plan", "verify", "check", "export", "sim", "run", "review"):
         assert f"  {command} " in said
         assert status(command, "--help") == 0
         assert len(capsys.readouterr().out) > 200
@@ -138,6 +138,7 @@ def test_the_version_is_told(capsys: pytest.CaptureFixture[str]) -> None:
 COMMANDS_ON_A_MISSION = [
     ("plan", "{}", "-o", "out.json"),
     ("verify", "{}", "plan.json"),
+    ("check", "{}", "plan.json"),
     ("export", "{}", "plan.json", "--format", "plan", "-o", "out"),
     ("sim", "{}"),
     ("run", "{}", "-o", "out"),
