@@ -135,10 +135,7 @@ def test_one_robot_and_a_start(mission: Path, plan: Path, capsys: pytest.Capture
     assert status("check", mission, plan, "--robot", "rower") == 2
     assert capsys.readouterr().err == f"{plan}: has no robot 'rower', only rover\n"
     assert status("check", mission, plan, "--start", "soon") == 2
-    assert (
-        capsys.readouterr().err
-        == "malipp check: Invalid value for '--start': 'soon' is no time such as 2026-11-22T16:00Z (see malipp check --help)\n"
-    )
+    assert "'soon' is no time such as 2026-11-22T16:00Z" in capsys.readouterr().err
 
 
 def test_a_plan_that_breaks_a_rule_is_not_looked_at(
