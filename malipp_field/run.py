@@ -6,6 +6,7 @@ The parts share nothing but the bus and the clock, as they would on several mach
 from __future__ import annotations
 
 import asyncio
+import secrets
 import socket
 import time
 from collections.abc import Callable, Sequence
@@ -16,8 +17,10 @@ from typing import Any
 from malipp_field.bus import Bus
 from malipp_field.clock import SimClock
 from malipp_field.control import Coordinator, Outcome, Planner
-from malipp_field.link import Agent
+from malipp_field.link import Agent, Links, SigningKey, VehicleLink
+from malipp_field.link.signing import KEY_LENGTH
 from malipp_field.mission import Mission, TeamState
+from malipp_field.mission.link_url import parse_link_url
 from malipp_field.plan import Plan
 from malipp_field.planner import solve
 from malipp_field.record import RECORDER_PRESENCE, Recorder
@@ -72,21 +75,24 @@ async def fly(
     clock = SimClock(start_s=time.time(), speed=mission.simulation.speed if speed is None else speed)
     hub = f"tcp/127.0.0.1:{_free_port()}"
     robots = [robot.id for robot in mission.team.robots]
+    # Keys of their own: the timestamps of a fast clock are not for those of real vehicles.
+    keys = {robot: secrets.token_bytes(KEY_LENGTH) for robot in robots if mission.vehicle(robot).signing_key}
     async with AsyncExitStack() as stack:
         enter = stack.enter_async_context
-        fleet = await enter(Fleet(mission, clock))
+        fleet = await enter(Fleet(mission, clock, keys=keys))
         control_bus = await enter(Bus(listen=hub))
         await enter(Recorder(await enter(Bus(connect=(hub,))), mission.name, recording))
+        links = await enter(Links(clock))
         agents = [
             Agent(
                 mission.name,
                 robot,
-                fleet.endpoints[robot],
-                system_id,
+                _simulated_link(mission, robot, fleet.links[robot], keys.get(robot)),
+                links,
                 await enter(Bus(connect=(hub,))),
                 clock,
             )
-            for system_id, robot in enumerate(robots, start=1)
+            for robot in robots
         ]
         coordinator = Coordinator(
             mission,
@@ -121,6 +127,14 @@ async def _until_done(
         for task in everything:
             task.cancel()
         await asyncio.gather(*everything, return_exceptions=True)
+
+
+def _simulated_link(mission: Mission, robot: str, url: str, secret: bytes | None) -> VehicleLink:
+    settings, ground = mission.vehicle(robot), mission.ground_station
+    own = (ground.system_id, ground.component_id)
+    key = None if secret is None else SigningKey(secret)
+    assert settings.system_id is not None
+    return VehicleLink(parse_link_url(url), settings.system_id, settings.component_id, key, own)
 
 
 def _free_port() -> int:

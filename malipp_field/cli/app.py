@@ -1,4 +1,4 @@
-"""The `malipp` command: plan, verify, check, export, script, upload, vehicles, sim, run, review, bench.
+"""The `malipp` command: plan, verify, check, export, script, upload, vehicles, sim, run, review, bench, key.
 
 A fault the user can mend is one line on stderr and exit status 2. `plan` and `run` exit with 3 when the
 mission is proven infeasible and with 4 when a limit came before the first plan, `run` with 5 when not every
@@ -26,6 +26,7 @@ from malipp_field.cli.files import MissionFile, PlanFile, verified
 from malipp_field.cli.script import script
 from malipp_field.cli.times import StartTime
 from malipp_field.cli.upload import upload, vehicles
+from malipp_field.cli.key import key
 from malipp_field.errors import InputError, MalippError, PlanError
 
 if TYPE_CHECKING:
@@ -225,7 +226,8 @@ def sim(
     """Start the mission's rovers as simulated MAVLink vehicles on this machine, until interrupted."""
     import asyncio
 
-    asyncio.run(_simulate(_mission(mission_file), port, speed))
+    mission = _mission(mission_file)
+    asyncio.run(_simulate(mission, mission_file.parent, port, speed))
 
 
 @app.command(short_help="Plan, export, fly a simulated team, and review.")
@@ -291,6 +293,7 @@ app.command(short_help="Put the missions of a plan on the vehicles.")(upload)
 app.command(short_help="Show the vehicles, and what is on them.")(vehicles)
 app.command(short_help="Run the paper's experiments: tables, figures, a page.")(bench)
 app.command(short_help="Write the payload script for ArduPilot rovers.")(script)
+app.command(short_help="Make a signing key for a vehicle, and give it to it.")(key)
 
 
 def _mission(path: Path) -> Mission:
@@ -382,14 +385,18 @@ def _writable(path: Path, source: Path) -> None:
         raise InputError(str(path), None, "", "cannot be written")
 
 
-async def _simulate(mission: Mission, port: int, speed: float) -> None:
+async def _simulate(mission: Mission, folder: Path, port: int, speed: float) -> None:
     from malipp_field.clock import SimClock, WallClock
+    from malipp_field.link.keys import read_key
     from malipp_field.sim import Fleet
 
+    key_files = {robot: settings.signing_key for robot, settings in mission.vehicles.items()}
+    keys = {robot: read_key(folder / name) for robot, name in key_files.items() if name}
     clock = SimClock(WallClock().now_s(), speed)
-    async with Fleet(mission, clock, first_port=port) as fleet:
-        for system_id, (robot, (host, robot_port)) in enumerate(fleet.endpoints.items(), start=1):
-            typer.echo(f"{robot}: system {system_id}, connect with udpout:{host}:{robot_port}")
+    async with Fleet(mission, clock, first_port=port, keys=keys) as fleet:
+        for robot, url in fleet.links.items():
+            signed = ", signed" if robot in keys else ""
+            typer.echo(f"{robot}: system {fleet.rovers[robot].system_id}{signed}, connect with {url}")
         typer.echo("Interrupt (Ctrl-C) to stop.")
         await clock.run()
 

@@ -23,13 +23,13 @@ from malipp_field.bus.messages import (
 )
 from malipp_field.clock import Clock
 from malipp_field.errors import LinkError
+from malipp_field.link.channels import OnEvent, OnMessage, VehicleLink
 from malipp_field.link.confirmations import ConfirmationInbox
-from malipp_field.link.connection import MavConnection
 from malipp_field.link.driver import TICK_S, Driver
 from malipp_field.link.exchange import MavMessage
 from malipp_field.link.orders import Order, Orders
 from malipp_field.link.progress import Progress
-from malipp_field.link.vehicle import Vehicle
+from malipp_field.link.vehicle import STREAM_MESSAGES, Vehicle
 from malipp_field.vehicle.payload_protocol import PayloadReport, ack_name, parse_confirmation
 
 HEARTBEAT_S = 1.0
@@ -67,14 +67,24 @@ class AgentBus(Protocol):
 
 
 class Connection(Protocol):
-    """What an agent needs of a link to a vehicle."""
+    """What an agent needs of the channel to its vehicle."""
 
     def send(self, message: MavMessage) -> None:
         """Send a message."""
         ...
 
     def close(self) -> None:
-        """Close the link."""
+        """Close the channel."""
+        ...
+
+
+class OpenLinks(Protocol):
+    """What an agent needs of `Links`."""
+
+    async def open(
+        self, where: VehicleLink, on_message: OnMessage, on_event: OnEvent, skip: frozenset[int]
+    ) -> Connection:
+        """Open the channel of a vehicle; see `Links.open`."""
         ...
 
 
@@ -87,35 +97,29 @@ class Agent:
         First part of all keys.
     robot
         Whose agent this is.
-    endpoint
-        Host and UDP port of the vehicle.
-    system_id
-        The vehicle's MAVLink system id.
+    where
+        How the vehicle is reached.
+    links
+        Opens the channel to it; vehicles on one radio share their `Links`.
     bus
         Where it talks to the team.
     clock
         All waiting and all times are of this clock.
-    open_connection
-        Opens the link: ``udpout:HOST:PORT`` and the function to be called for each message.
     """
 
     def __init__(
         self,
         mission_name: str,
         robot: str,
-        endpoint: tuple[str, int],
-        system_id: int,
+        where: VehicleLink,
+        links: OpenLinks,
         bus: AgentBus,
         clock: Clock,
-        open_connection: Callable[
-            [str, Callable[[MavMessage], None]], Awaitable[Connection]
-        ] = MavConnection.open,
     ) -> None:
-        self._mission_name, self._robot, self._endpoint = mission_name, robot, endpoint
-        self._bus, self._clock = bus, clock
-        self._open_connection = open_connection
+        self._mission_name, self._robot, self._where = mission_name, robot, where
+        self._links, self._bus, self._clock = links, bus, clock
         self._connection: Connection | None = None
-        self.vehicle = Vehicle(system_id)
+        self.vehicle = Vehicle(where.system_id, where.component_id)
         self.progress = Progress()
         self._driver = Driver(self.vehicle, self._send, clock)
         self._orders = Orders(robot, self._driver, self.progress)
@@ -135,10 +139,10 @@ class Agent:
         Raises
         ------
         LinkError
-            When the endpoint cannot be used.
+            When the link cannot be opened; one that breaks later is opened again.
         """
-        host, port = self._endpoint
-        self._connection = await self._open_connection(f"udpout:{host}:{port}", self._heard)
+        unheeded = STREAM_MESSAGES - self.vehicle.heeded
+        self._connection = await self._links.open(self._where, self._heard, self._event, unheeded)
         try:
             await self._bus.serve(
                 vehicle_key(self._mission_name, self._robot, "command"), Command, self._answer

@@ -23,6 +23,24 @@ MODE_NUMBERS: dict[str, int] = {
 _MODE_NAMES = {number: name for name, number in MODE_NUMBERS.items()}
 
 
+STREAM_MESSAGES = frozenset(
+    {
+        mavlink.MAVLINK_MSG_ID_SYS_STATUS, mavlink.MAVLINK_MSG_ID_SYSTEM_TIME,
+        mavlink.MAVLINK_MSG_ID_GPS_RAW_INT, mavlink.MAVLINK_MSG_ID_GPS2_RAW, mavlink.MAVLINK_MSG_ID_RAW_IMU,
+        mavlink.MAVLINK_MSG_ID_SCALED_IMU2, mavlink.MAVLINK_MSG_ID_SCALED_IMU3,
+        mavlink.MAVLINK_MSG_ID_SCALED_PRESSURE, mavlink.MAVLINK_MSG_ID_SCALED_PRESSURE2,
+        mavlink.MAVLINK_MSG_ID_ATTITUDE, mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
+        mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT, mavlink.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW,
+        mavlink.MAVLINK_MSG_ID_RC_CHANNELS, mavlink.MAVLINK_MSG_ID_NAV_CONTROLLER_OUTPUT,
+        mavlink.MAVLINK_MSG_ID_VFR_HUD, mavlink.MAVLINK_MSG_ID_AHRS, mavlink.MAVLINK_MSG_ID_AHRS2,
+        mavlink.MAVLINK_MSG_ID_HWSTATUS, mavlink.MAVLINK_MSG_ID_MEMINFO, mavlink.MAVLINK_MSG_ID_POWER_STATUS,
+        mavlink.MAVLINK_MSG_ID_VIBRATION, mavlink.MAVLINK_MSG_ID_TERRAIN_REPORT,
+        mavlink.MAVLINK_MSG_ID_BATTERY_STATUS, mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT,
+    }
+)  # fmt: skip
+"""What an ArduPilot sends again and again, of its own accord: most of the traffic of a link."""
+
+
 class Vehicle:
     """The state of one autopilot as far as it has been heard.
 
@@ -76,6 +94,11 @@ class Vehicle:
             mavlink.MAVLINK_MSG_ID_NAMED_VALUE_FLOAT: self._named_value,
             mavlink.MAVLINK_MSG_ID_MISSION_CURRENT: self._mission_current,
         }
+
+    @property
+    def heeded(self) -> frozenset[int]:
+        """Ids of the messages that this state is made of; all of them must be decoded."""
+        return frozenset(self._handlers) | {mavlink.MAVLINK_MSG_ID_HEARTBEAT}
 
     def link_ok(self, now_s: float) -> bool:
         """Return whether a heartbeat arrived within the last `HEARTBEAT_LOST_S` seconds."""

@@ -8,9 +8,10 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal, TypeAlias
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from malipp_field.documents import StrictModel
+from malipp_field.mission.link_url import parse_link_url
 
 ARDUPILOT_MAX_ITEMS = 655
 """Mission items, home included, that an ArduPilot Rover stores (measured on the 4.7 development line)."""
@@ -19,6 +20,8 @@ SystemId: TypeAlias = Annotated[int, Field(ge=1, le=255)]
 Seconds: TypeAlias = Annotated[float, Field(gt=0, le=3600)]
 Pulse: TypeAlias = Annotated[int, Field(ge=500, le=2500)]
 """Servo pulse in microseconds; ArduPilot does not check its range, so this does."""
+LinkText: TypeAlias = Annotated[str, AfterValidator(lambda text: str(parse_link_url(text)))]
+"""A MAVLink URL in its one spelling."""
 Confirmed: TypeAlias = Literal["progress", "operator"]
 """What confirms an action of hardware that cannot speak: that the vehicle has gone past it, or a person."""
 
@@ -114,7 +117,7 @@ class VehicleSettings(StrictModel):
         Mission items it can store, home included.
     """
 
-    link: str | None = None
+    link: LinkText | None = None
     system_id: SystemId | None = None
     component_id: Annotated[int, Field(ge=1, le=255)] = 1
     signing_key: str | None = None

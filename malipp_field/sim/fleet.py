@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Mapping
 from types import TracebackType
 from typing import Any, cast
 
@@ -12,7 +13,8 @@ from malipp_field.clock import Clock
 from malipp_field.errors import LinkError
 from malipp_field.mission import Mission
 from malipp_field.sim.autopilot import RoverConfig
-from malipp_field.sim.rover import COMPONENT_ID, Rover
+from malipp_field.sim.rover import Rover
+from malipp_field.sim.signing import RadioSigning, ticks
 from malipp_field.sim.world import World
 
 Address = tuple[str, int]
@@ -29,7 +31,7 @@ class Fleet:
     Parameters
     ----------
     mission
-        Robots get the MAVLink system ids 1 to R in the order of the mission file.
+        Robots get the MAVLink addresses that it gives them.
     clock
         The vehicles' time.
     host
@@ -38,11 +40,15 @@ class Fleet:
         The first robot's UDP port, the others follow on; 0 takes any free ones.
     config
         See `RoverConfig`.
+    keys
+        MAVLink 2 signing keys, 32 bytes each, by robot; the others sign nothing.
 
     Attributes
     ----------
     endpoints : dict of str to (host, port)
         Where each robot listens, by robot id.
+    links : dict of str to str
+        The MAVLink URL that reaches each robot.
     rovers : dict of str to Rover
         By robot id.
     world : World
@@ -61,16 +67,25 @@ class Fleet:
         host: str = "127.0.0.1",
         first_port: int = 0,
         config: RoverConfig | None = None,
+        keys: Mapping[str, bytes] | None = None,
     ) -> None:
+        self._mission, self._keys = mission, keys or {}
         self._clock, self._host, self._first_port = clock, host, first_port
         self.world = World(mission)
         self.endpoints: dict[str, Address] = {}
         self.rovers = {
-            robot.id: Rover(robot.id, self.world, system_id, clock.now_s(), config)
-            for system_id, robot in enumerate(mission.team.robots, start=1)
+            robot.id: Rover(
+                robot.id, self.world, mission.vehicle(robot.id).system_id or 0, clock.now_s(), config
+            )
+            for robot in mission.team.robots
         }
         self._transports: list[asyncio.DatagramTransport] = []
         self._tasks: list[asyncio.Task[None]] = []
+
+    @property
+    def links(self) -> dict[str, str]:
+        """The URL of each robot."""
+        return {robot: f"udpout:{host}:{port}" for robot, (host, port) in self.endpoints.items()}
 
     async def __aenter__(self) -> Fleet:
         try:
@@ -91,9 +106,11 @@ class Fleet:
 
     async def _open(self, robot_id: str, rover: Rover, port: int) -> None:
         loop = asyncio.get_running_loop()
+        component_id = self._mission.vehicle(robot_id).component_id
         try:
             transport, radio = await loop.create_datagram_endpoint(
-                lambda: _Radio(rover, self._clock), local_addr=(self._host, port)
+                lambda: _Radio(rover, self._clock, component_id, self._keys.get(robot_id)),
+                local_addr=(self._host, port),
             )
         except OSError as fault:
             raise LinkError(
@@ -125,22 +142,31 @@ class Fleet:
 class _Radio(asyncio.DatagramProtocol):
     """Bytes to messages and back, for one rover."""
 
-    def __init__(self, rover: Rover, clock: Clock) -> None:
+    def __init__(self, rover: Rover, clock: Clock, component_id: int, secret: bytes | None) -> None:
         self._rover, self._clock = rover, clock
+        self._signing = RadioSigning(secret, ticks(clock.now_s()))
         self._heard_s: dict[Address, float] = {}
-        self._packer = mavlink.MAVLink(None, srcSystem=rover.system_id, srcComponent=COMPONENT_ID)
+        self._packer = mavlink.MAVLink(None, srcSystem=rover.system_id, srcComponent=component_id)
         self._transport: asyncio.DatagramTransport | None = None
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         self._transport = cast(asyncio.DatagramTransport, transport)
 
     def datagram_received(self, data: bytes, addr: Address) -> None:
-        messages = parse(data)
+        messages = [message for message in parse(data) if self._signing.accepts(message)]
         if messages:
             self._heard_s[addr] = asyncio.get_running_loop().time()
         for message in messages:
-            self._rover.receive(message, addr, self._clock.now_s())
+            if message.get_msgId() == mavlink.MAVLINK_MSG_ID_SETUP_SIGNING:
+                self._set_up_signing(message)
+            else:
+                self._rover.receive(message, addr, self._clock.now_s())
         self._send()
+
+    def _set_up_signing(self, message: Any) -> None:
+        """Take on another key, which ArduPilot does only while it is disarmed, and without an answer."""
+        if message.target_system == self._rover.system_id and not self._rover.autopilot.armed:
+            self._signing.set_up(message)
 
     def error_received(self, exc: Exception) -> None:
         """Nobody listens at a peer's address any more: it will be forgotten in time."""
@@ -160,6 +186,7 @@ class _Radio(asyncio.DatagramProtocol):
         for peer, message in outbox:
             to = list(self._heard_s) if peer is None else [cast(Address, peer)]
             if to:
+                self._signing.prepare(self._packer)
                 packet = message.pack(self._packer)
                 self._packer.seq = (self._packer.seq + 1) % 256
                 for address in to:

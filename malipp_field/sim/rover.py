@@ -19,7 +19,6 @@ from malipp_field.vehicle.payload_protocol import ack_name
 Peer = Hashable
 """Where a message came from and an answer goes to: a UDP address, or whatever carries the messages."""
 
-COMPONENT_ID = mavlink.MAV_COMP_ID_AUTOPILOT1
 _FORCE_ARM = 2989.0  # param 2 of MAV_CMD_COMPONENT_ARM_DISARM; ArduPilot takes MAVLink's 21196 to disarm only
 _ON, _OFF = 1.0, 0.0
 

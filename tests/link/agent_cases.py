@@ -23,8 +23,10 @@ from malipp_field.bus.messages import (
     Telemetry,
 )
 from malipp_field.clock import SimClock
-from malipp_field.link import Agent
+from malipp_field.link import Agent, VehicleLink
+from malipp_field.link.channels import OnEvent, OnMessage
 from malipp_field.mission import Mission, parse_mission
+from malipp_field.mission.link_url import parse_link_url
 from malipp_field.sim import Rover, RoverConfig, World
 from malipp_field.vehicle.steps import Action, GeoPoint, Step, VehicleMission
 
@@ -54,6 +56,7 @@ FAR = parse_mission(TEXT.replace("x_m: 100.0", "x_m: 600.0").replace("y_m: 60.0"
 ROUND = ("drive a", "collect a 1", "collect a 2", "drive b", "collect b 3", "drive base", "unload base 1",
          "unload base 2", "unload base 3")  # fmt: skip
 WORK_DONE = [uid for uid in ROUND if not uid.startswith("drive")]
+WHERE = VehicleLink(parse_link_url("udpout:rover:14550"), SYSTEM)
 SET_CURRENT = mavlink.MAV_CMD_DO_SET_MISSION_CURRENT
 STOP = Hold(reason="test")
 
@@ -105,7 +108,7 @@ class Yard:
         self.world = World(mission)
         self.rover = Rover("scout", self.world, SYSTEM, self.clock.now_s(), config)
         self.bus = FakeBus()
-        self.agent = Agent("yard", "scout", ("rover", 14550), SYSTEM, self.bus, self.clock, self._open)
+        self.agent = Agent("yard", "scout", WHERE, self, self.bus, self.clock)
         self.up, self.down = Wire(seed, loss, loss > 0.0), Wire(seed + 1_000_000, loss, loss > 0.0)
         self.noise = random.Random(seed)
         self.cut = self.deaf = False
@@ -113,9 +116,12 @@ class Yard:
         self.watch: Callable[[Any], None] = lambda message: None
         self.on_send: Callable[[Any], None] = lambda message: None
 
-    async def _open(self, url: str, on_message: Callable[[Any], None]) -> Yard:
-        assert url == "udpout:rover:14550"
-        self._on_message = on_message
+    async def open(
+        self, where: VehicleLink, on_message: OnMessage, on_event: OnEvent, skip: frozenset[int]
+    ) -> Yard:
+        """Be the agent's link."""
+        assert where == WHERE
+        self._on_message, self._skip = on_message, skip
         return self
 
     def send(self, message: Any) -> None:
@@ -146,7 +152,8 @@ class Yard:
             if not (self.cut or self.deaf):
                 self.down.put(framed(message), now_s)
         for message in self.down.arrived(now_s):
-            self._on_message(message)
+            if message.get_msgId() not in self._skip:
+                self._on_message(message)
 
     async def order(self, order: Load | Start | Release | Hold, limit_s: float = 600.0) -> Reply:
         """Give an order and live until it is answered, and telemetry shows it."""

@@ -23,7 +23,8 @@ from malipp_field.bus import (
     vehicle_key,
 )
 from malipp_field.clock import SimClock
-from malipp_field.link import Agent
+from malipp_field.link import Agent, Links, VehicleLink
+from malipp_field.mission.link_url import parse_link_url
 from malipp_field.sim import Fleet
 
 WORK = ("drive a", "collect a 1", "wait a 9", "drive b", "collect b 2", "drive base", "unload base 1",
@@ -80,7 +81,9 @@ async def end_to_end(speed: float) -> tuple[Listener, Fleet]:
         theirs = await stack.enter_async_context(Bus(connect=(hub,)))
         await ours.subscribe(vehicle_key("yard", "*", "telemetry"), Telemetry, heard.hear)
         await ours.subscribe(vehicle_key("yard", "*", "confirmation"), Confirmation, heard.hear)
-        agent = Agent("yard", "scout", fleet.endpoints["scout"], 1, theirs, clock)
+        links = await stack.enter_async_context(Links(clock))
+        where = VehicleLink(parse_link_url(fleet.links["scout"]), 1)
+        agent = Agent("yard", "scout", where, links, theirs, clock)
         services = [asyncio.ensure_future(agent.run()), asyncio.ensure_future(clock.run())]
         try:
             await scene(ours, heard, clock)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import math
 import random
 import socket
 from collections.abc import AsyncIterator, Awaitable, Callable
@@ -161,7 +160,6 @@ def test_a_mission_is_driven_over_the_wire() -> None:
             said = await client.until(lambda m: m.get_type() == "STATUSTEXT" and m.text.startswith("MLP"))
             assert said.text.startswith("MLP 1 collect 7 ok v=")
             assert world.on_board("carrier") == [7]
-            assert math.dist(fleet.rovers["carrier"].autopilot.position, (100.0, 0.0)) < 1.0
 
     run(scenario, speed=200.0)
 
