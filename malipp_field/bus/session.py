@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 import zenoh
 from pydantic import ValidationError
 
+from malipp_field.bus.mailbox import Mailbox
 from malipp_field.bus.messages import Message, Reply, Telemetry
 from malipp_field.errors import LinkError
 
@@ -25,6 +26,7 @@ class Bus:
 
     Callbacks and handlers run in the event loop that entered the context, never in Zenoh's threads. What one
     peer says, this one hears in the same order, whatever the keys; there is no order among several peers.
+    Where the event loop is behind, old telemetry is left out and counted, and nothing else is.
 
     Parameters
     ----------
@@ -51,10 +53,16 @@ class Bus:
         }.items():
             self._config.insert_json5(key, json.dumps(value))
         self._session: Any = None
+        self._mailbox = Mailbox(self._in_loop)
         self._declared: list[Any] = []  # Zenoh undeclares what nobody holds on to
         self._answers: set[asyncio.Task[None]] = set()
         self._questions: set[asyncio.Future[Reply]] = set()
         self.rejected = 0
+
+    @property
+    def dropped(self) -> int:
+        """How much telemetry came faster than the event loop could take it, and was left out for newer."""
+        return self._mailbox.dropped
 
     async def __aenter__(self) -> Bus:
         self._loop = asyncio.get_running_loop()
@@ -75,6 +83,8 @@ class Bus:
         for question in self._questions:
             _fail(question, LinkError("the bus was closed before the answer came"))
         await asyncio.to_thread(session.close)
+        if self.dropped:
+            log.warning("%d old telemetry messages were left out: this process was too slow", self.dropped)
 
     def publish(self, key: str, message: Message) -> None:
         """Say ``message`` to whoever listens to ``key``.
@@ -96,7 +106,9 @@ class Bus:
         """Call ``callback(key, message)`` for every valid message of type ``kind`` on ``key_expr``."""
 
         def arrived(sample: Any) -> None:
-            self._in_loop(deliver, str(sample.key_expr), bytes(sample.payload))
+            key = str(sample.key_expr)
+            subject = (key_expr, key) if kind is Telemetry else None
+            self._mailbox.put(subject, deliver, key, bytes(sample.payload))
 
         def deliver(key: str, payload: bytes) -> None:
             message = self._parse(kind, key, payload)
@@ -112,7 +124,7 @@ class Bus:
         """Answer every request of type ``kind`` on ``key`` by what ``handler`` returns."""
 
         def arrived(query: Any) -> None:
-            self._in_loop(begin, query)
+            self._mailbox.put(None, begin, query)
 
         def begin(query: Any) -> None:
             task = self._loop.create_task(answer(query))
@@ -154,9 +166,9 @@ class Bus:
 
         def replied(reply: Any) -> None:
             if reply.ok is not None:
-                self._in_loop(settle, bytes(reply.ok.payload))
+                self._mailbox.put(None, settle, bytes(reply.ok.payload))
             else:  # the other side's words, or Zenoh's ("Timeout")
-                self._in_loop(_fail, future, LinkError(f"{key}: {reply.err.payload.to_string()}"))
+                self._mailbox.put(None, _fail, future, LinkError(f"{key}: {reply.err.payload.to_string()}"))
 
         def settle(payload: bytes) -> None:
             answer = self._parse(Reply, key, payload)
@@ -166,7 +178,7 @@ class Bus:
                 future.set_result(answer)
 
         def ended() -> None:
-            self._in_loop(_fail, future, LinkError(f"{key}: no answer"))
+            self._mailbox.put(None, _fail, future, LinkError(f"{key}: no answer"))
 
         self._questions.add(future)
         try:
@@ -189,7 +201,7 @@ class Bus:
         """Call ``callback(key, there)`` for matching holders: those there now, and who comes or goes."""
 
         def changed(sample: Any) -> None:
-            self._in_loop(callback, str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT)
+            self._mailbox.put(None, callback, str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT)
 
         self._declared.append(
             await asyncio.to_thread(
@@ -207,11 +219,11 @@ class Bus:
             log.warning("%s: not a valid %s, dropped: %s", key, kind.__name__, fault.errors()[0]["msg"])
             return None
 
-    def _in_loop(self, callback: Callable[..., None], *arguments: Any) -> None:
+    def _in_loop(self, callback: Callable[[], None]) -> None:
         """Hand over from a Zenoh thread; what arrives while the process shuts down is of no use."""
         if self._session is not None:
             with contextlib.suppress(RuntimeError):  # the loop is closed
-                self._loop.call_soon_threadsafe(callback, *arguments)
+                self._loop.call_soon_threadsafe(callback)
 
 
 def _in_order(callback: Callable[[Any], None]) -> Any:
