@@ -153,8 +153,9 @@ class Channel:
         return refusal
 
     def vouches(self, frame: Frame) -> bool:
-        """Whether a frame that was taken is surely the vehicle's own, as far as that can be known."""
-        return frame.system == self.where.system_id and (self.where.key is None or frame.signed)
+        """Whether a frame that was taken is the autopilot's own, as far as that can be known."""
+        autopilot = (self.where.system_id, self.where.component_id)
+        return (frame.system, frame.component) == autopilot and (self.where.key is None or frame.signed)
 
     def _hand_on(self, frame: Frame) -> None:
         message = decoded(frame)

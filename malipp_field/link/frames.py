@@ -6,6 +6,7 @@ Source: https://mavlink.io/en/guide/serialization.html.
 
 from __future__ import annotations
 
+import re
 from typing import NamedTuple
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -15,6 +16,7 @@ from malipp_field.link.exchange import MavMessage
 SIGNATURE_LENGTH = 13
 
 _V1, _V2 = mavlink.PROTOCOL_MARKER_V1, mavlink.PROTOCOL_MARKER_V2
+_MARKER = re.compile(bytes((ord("["), _V2, _V1, ord("]"))))
 _CRC_LENGTH = 2
 _SIGNED = 0x01
 
@@ -85,7 +87,7 @@ class FrameReader:
             if frame is None or not self._credible(frame.message_id):
                 self.malformed += self._clean
                 self._clean = False
-                at += 1
+                at = _next_marker(data, at + 1)
                 continue
             self._clean, at = True, at + length
             if frame.known:
@@ -138,6 +140,12 @@ def decoded(frame: Frame) -> MavMessage | None:
 
 
 _decoder = mavlink.MAVLink(None)
+
+
+def _next_marker(data: bytes, at: int) -> int:
+    """Return where the next frame may begin, the end of the data where none does."""
+    found = _MARKER.search(data, at)
+    return len(data) if found is None else found.start()
 
 
 def _announced_length(data: bytes, at: int) -> int:

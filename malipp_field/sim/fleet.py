@@ -47,8 +47,6 @@ class Fleet:
     ----------
     endpoints : dict of str to (host, port)
         Where each robot listens, by robot id.
-    links : dict of str to str
-        The MAVLink URL that reaches each robot.
     rovers : dict of str to Rover
         By robot id.
     world : World
@@ -84,7 +82,7 @@ class Fleet:
 
     @property
     def links(self) -> dict[str, str]:
-        """The URL of each robot."""
+        """The MAVLink URL that reaches each robot, by robot id."""
         return {robot: f"udpout:{host}:{port}" for robot, (host, port) in self.endpoints.items()}
 
     async def __aenter__(self) -> Fleet:

@@ -11,7 +11,8 @@ from typing import Any
 from flight_cases import Assignment, Done, assert_flown, beside, fly
 
 from malipp_field.bus.messages import Command, Confirmation, Load, Message, Release, Reply, Start
-from malipp_field.link import Agent
+from malipp_field.link import Agent, Links, VehicleLink
+from malipp_field.mission.link_url import LinkUrl
 from malipp_field.vehicle.steps import Step
 
 
@@ -54,9 +55,11 @@ class Station:
 @asynccontextmanager
 async def station(told: Assignment) -> AsyncIterator[Station]:
     client = Station(told)
-    agent = Agent(told.mission.name, told.vehicle.robot, told.endpoint, told.system_id, client, told.clock)
-    async with beside(agent.run()):
-        yield client
+    where = VehicleLink(LinkUrl("udpout", *told.endpoint), told.system_id)
+    async with Links(told.clock) as links:
+        agent = Agent(told.mission.name, told.vehicle.robot, where, links, client, told.clock)
+        async with beside(agent.run()):
+            yield client
 
 
 def test_our_link_uploads_the_compiled_missions_and_sees_them_through(tmp_path: Path) -> None:
