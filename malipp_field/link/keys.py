@@ -26,7 +26,6 @@ AHEAD_TICKS = 3 * MAX_AGE_TICKS
 """How far ahead of the newest timestamp the file is written: the age limit, a minute's reserve, and a minute
 for the disk to write the next."""
 
-
 log = logging.getLogger(__name__)
 
 
@@ -93,10 +92,12 @@ class KeyFile:
             return
         if self._writer is not None:
             self._writer.join()
-        with self._lock:
-            self._write_state(self._stamps.newest, self._stamps.streams)
-        os.close(self._file)
-        self._file = None
+        try:
+            with self._lock:
+                self._write_state(self._stamps.newest, self._stamps.streams)
+        finally:
+            os.close(self._file)
+            self._file = None
 
     def _reserve(self) -> None:
         """Write ahead. After a crash one begins where all that was heard by then is too old to be new."""
@@ -132,19 +133,17 @@ class KeyFile:
         except OSError as fault:
             raise InputError(path, None, "", fault.strerror or str(fault)) from None
         except ValidationError:
-            raise InputError(
-                path,
-                None,
-                "",
-                "does not hold a signing key's timestamps; where this computer's clock is right, remove it",
-            ) from None
+            problem = (
+                "does not hold a signing key's timestamps; where this computer's clock is right, remove it"
+            )
+            raise InputError(path, None, "", problem) from None
 
     def _write_state(self, floor: int, streams: dict[Stream, int]) -> None:
         kept = tuple((*stream, stamp) for stream, stamp in streams.items())
         with whole_file(self._state_path) as partial:
             partial.write_text(_State(floor=floor, streams=kept).model_dump_json() + "\n", encoding="ascii")
-            with partial.open("rb") as written:
-                os.fsync(written.fileno())
+            _sync(partial)
+        _sync(self._state_path.parent)
 
 
 class KeyRing(contextlib.ExitStack):
@@ -194,6 +193,15 @@ def make_key_file(path: Path) -> None:
         os.fsync(file)
 
 
+def _sync(path: Path) -> None:
+    """Have what was written to a file, or the names in a folder, outlast a power cut."""
+    file = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(file)
+    finally:
+        os.close(file)
+
+
 def _open_private(path: Path) -> int:
     """Open a file that nobody but its owner, who is us, can read."""
     try:
@@ -227,9 +235,5 @@ def _lock_for_us(file: int, path: Path) -> None:
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
-        raise InputError(
-            str(path),
-            None,
-            "",
-            "this signing key is in use by another process; end that first",
-        ) from None
+        problem = "this signing key is in use by another process; end that first"
+        raise InputError(str(path), None, "", problem) from None

@@ -52,4 +52,8 @@ def parse_link_url(text: str) -> LinkUrl:
         raise ValueError(f"'{text}' is not a link: the {unit} is from 1 to {most}")
     if scheme != "serial":
         place = place.removeprefix("[").removesuffix("]")
+        try:
+            place.encode("idna")
+        except UnicodeError:
+            raise ValueError(f"'{text}' is not a link: '{place}' is no host") from None
     return LinkUrl(cast(Scheme, scheme), place, int(number))

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from contextlib import AsyncExitStack
 from itertools import pairwise
 
+import pytest
 from agent_cases import MISSION, Yard
 
 from malipp_field.bus import (
@@ -23,7 +24,7 @@ from malipp_field.bus import (
     vehicle_key,
 )
 from malipp_field.clock import SimClock
-from malipp_field.link import Agent, Links, VehicleLink
+from malipp_field.link import Agent, Links, SigningKey, VehicleLink
 from malipp_field.mission.link_url import parse_link_url
 from malipp_field.sim import Fleet
 
@@ -72,17 +73,19 @@ async def scene(bus: Bus, heard: Listener, clock: SimClock) -> None:
     await heard.until(lambda: heard.telemetry[-1].finished and len(heard.confirmations) == 4)
 
 
-async def end_to_end(speed: float) -> tuple[Listener, Fleet]:
+async def end_to_end(speed: float, secret: bytes | None) -> tuple[Listener, Fleet]:
     clock, heard = SimClock(start_s=1.7e9, speed=speed), Listener()
     hub = f"tcp/127.0.0.1:{free_port()}"
     async with AsyncExitStack() as stack:
-        fleet = await stack.enter_async_context(Fleet(MISSION, clock))
+        keys = {} if secret is None else {"scout": secret}
+        fleet = await stack.enter_async_context(Fleet(MISSION, clock, keys=keys))
         ours = await stack.enter_async_context(Bus(listen=hub))
         theirs = await stack.enter_async_context(Bus(connect=(hub,)))
         await ours.subscribe(vehicle_key("yard", "*", "telemetry"), Telemetry, heard.hear)
         await ours.subscribe(vehicle_key("yard", "*", "confirmation"), Confirmation, heard.hear)
         links = await stack.enter_async_context(Links(clock))
-        where = VehicleLink(parse_link_url(fleet.links["scout"]), 1)
+        key = None if secret is None else SigningKey(secret)
+        where = VehicleLink(parse_link_url(fleet.links["scout"]), 1, key=key)
         agent = Agent("yard", "scout", where, links, theirs, clock)
         services = [asyncio.ensure_future(agent.run()), asyncio.ensure_future(clock.run())]
         try:
@@ -100,8 +103,9 @@ def free_port() -> int:
         return int(probe.getsockname()[1])
 
 
-def test_load_start_replan_release_and_finish_over_udp_and_zenoh() -> None:
-    heard, fleet = asyncio.run(asyncio.wait_for(end_to_end(speed=20.0), 60.0))
+@pytest.mark.parametrize("secret", [None, bytes(range(32))])
+def test_load_start_replan_release_and_finish_over_udp_and_zenoh(secret: bytes | None) -> None:
+    heard, fleet = asyncio.run(asyncio.wait_for(end_to_end(20.0, secret), 60.0))
     assert [(c.number, c.uid) for c in heard.confirmations] == [
         (1, "collect a 1"), (2, "collect b 2"), (3, "unload base 1"), (4, "unload base 2"),
     ]  # fmt: skip

@@ -345,7 +345,8 @@ def test_the_mission_file_says_how_vehicles_are_reached(tmp_path: Path) -> None:
     [
         ("udp:127.0.0.1:5", "udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT or serial:DEVICE:BAUD"),
         ("''", "'' is not a link: expected udpin"), ("udpout:127.0.0.1", "expected udpin"),
-        ("'udpout::5'", "expected udpin"), ("tcp:h:0", "the port is from 1 to 65535"),
+        ("'udpout::5'", "expected udpin"), ("tcp:a..b:5", "'a..b' is no host"),
+        ("tcp:h:0", "the port is from 1 to 65535"),
         ("tcp:h:65536", "the port is from 1 to 65535"), ("udpin:h:x", "expected"), ("udpin:h:٣", "expected"),
         ("serial:/dev/ttyUSB0", "expected"), ("serial:/dev/ttyUSB0:0", "the baud rate is from 1 to 4000000"),
     ],

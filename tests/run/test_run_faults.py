@@ -9,7 +9,8 @@ import pytest
 
 from malipp_field.errors import LinkError
 from malipp_field.link import Agent
-from malipp_field.mission import read_mission
+from malipp_field.mission import Mission, read_mission
+from malipp_field.mission.vehicles import VehicleSettings
 from malipp_field.planner import solve
 from malipp_field.record import read_run
 from malipp_field.run import fly
@@ -17,10 +18,16 @@ from malipp_field.run import fly
 MISSION = Path(__file__).parents[2] / "missions" / "corridor.yaml"
 
 
+def signed(mission: Mission) -> Mission:
+    """Give every vehicle a key file; none need exist for a simulated team, which makes keys of its own."""
+    settings = VehicleSettings(signing_key="none.key")
+    return mission.model_copy(update={"vehicles": {robot.id: settings for robot in mission.team.robots}})
+
+
 def test_an_agent_that_dies_ends_the_run_with_its_fault_and_a_whole_recording(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    mission = read_mission(MISSION)
+    mission = signed(read_mission(MISSION))
     plan = solve(mission, method="seq", threads=1)
     honest = Agent.run
 
