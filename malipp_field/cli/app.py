@@ -23,10 +23,10 @@ from malipp_field import __version__
 from malipp_field.cli.bench import bench
 from malipp_field.cli.check import check, show_faults
 from malipp_field.cli.files import MissionFile, PlanFile, verified
+from malipp_field.cli.key import key
 from malipp_field.cli.script import script
 from malipp_field.cli.times import StartTime
 from malipp_field.cli.upload import upload, vehicles
-from malipp_field.cli.key import key
 from malipp_field.errors import InputError, MalippError, PlanError
 
 if TYPE_CHECKING:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import AsyncExitStack
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -18,7 +19,6 @@ from malipp_field.errors import InputError, LinkError, PlanError
 if TYPE_CHECKING:
     from malipp_field.link.contact import Contact
     from malipp_field.link.mission_protocol import MissionType
-    from malipp_field.link.transaction import Member
     from malipp_field.mission import Mission
     from malipp_field.plan import Plan
     from malipp_field.vehicle.items import MissionItem
@@ -60,15 +60,15 @@ def upload(
     """
     mission, plan = verified(mission_file, plan_file)
     wanted = _wanted(mission, plan, _chosen(mission, robot), start, fence=fence)
-    links = _links(mission, wanted, link, needed=not dry_run)
+    mission = _linked(mission, wanted, link, needed=not dry_run)
     if show_faults(mission, plan, start):
         raise InputError(str(plan_file), None, "", "nothing is sent: see the errors above")
     if dry_run:
         for name, lists in wanted.items():
             counts = ", ".join(f"{kind.word} {len(items)}" for kind, items in lists.items())
-            typer.echo(f"{name}: {links.get(name, 'no link')}: items: {counts}")
+            typer.echo(f"{name}: {mission.vehicle(name).link or 'no link'}: items: {counts}")
         return
-    states = asyncio.run(_upload(mission, wanted, links, hold=hold))
+    states = asyncio.run(_upload(mission, mission_file.parent, wanted, hold=hold))
     if "unknown" in states:
         raise typer.Exit(UNKNOWN)
     if "had" in states:
@@ -95,8 +95,8 @@ def vehicles(
     robots = _chosen(mission, robot)
     if plan_file is not None:
         wanted = _wanted(*verified(mission_file, plan_file), robots, start, fence=False)
-    links = _links(mission, robots, link, needed=True)
-    lines = asyncio.run(_look(mission, wanted, links))
+    mission = _linked(mission, robots, link, needed=True)
+    lines = asyncio.run(_look(mission, mission_file.parent, robots, wanted))
     for name, (words, _) in lines.items():
         out.print(f"{name}: {words}", soft_wrap=True)
     if not all(right for _, right in lines.values()):
@@ -136,35 +136,36 @@ def _wanted(
     return lists
 
 
-def _links(
-    mission: Mission, robots: Sequence[str] | Wanted, given: Sequence[str] | None, *, needed: bool
-) -> dict[str, str]:
-    """Return the links by robot, those of the command line before those of the mission file."""
-    links = {name: url for name in robots if (url := mission.vehicle(name).link) is not None}
+def _linked(mission: Mission, robots: Iterable[str], given: Sequence[str] | None, *, needed: bool) -> Mission:
+    """Return the mission with the links of the command line in place of its own."""
+    from malipp_field.mission.link_url import parse_link_url
+
+    vehicles = dict(mission.vehicles)
     for each in given or ():
         name, is_one, url = each.partition("=")
         if not is_one or name not in [robot.id for robot in mission.team.robots]:
             raise InputError("--link", None, "", f"'{each}' is not ROBOT=URL with a robot of the mission")
-        if name in robots:
-            links[name] = url
+        try:
+            parse_link_url(url)
+        except ValueError as fault:
+            raise InputError("--link", None, "", f"{name}: {fault}") from None
+        vehicles[name] = mission.vehicle(name).model_copy(update={"link": url})
     for name in robots:
-        if needed and name not in links:
+        if needed and (name not in vehicles or vehicles[name].link is None):
             raise InputError(
                 "--link", None, "", f"'{name}' has no link: give --link {name}=URL, or vehicles.{name}.link"
             )
-    return links
+    return mission.model_copy(update={"vehicles": vehicles})
 
 
-async def _upload(mission: Mission, wanted: Wanted, links: dict[str, str], *, hold: bool) -> list[str]:
+async def _upload(mission: Mission, folder: Path, wanted: Wanted, *, hold: bool) -> list[str]:
     from malipp_field.cli.display import ProgressLine, err, out
     from malipp_field.link.transaction import Member, Transaction
 
     doing: dict[str, str] = {}
     async with AsyncExitStack() as stack:
-        members: list[Member] = []
-        for name, lists in wanted.items():
-            contact = await stack.enter_async_context(_contact(mission, name, links[name]))
-            members.append(Member(name, contact.driver, lists))
+        contacts = await _contacts(stack, mission, folder, wanted)
+        members = [Member(name, contacts[name].driver, lists) for name, lists in wanted.items()]
         line = stack.enter_context(ProgressLine("uploading"))
 
         def tell(name: str, words: str) -> None:
@@ -182,13 +183,11 @@ async def _upload(mission: Mission, wanted: Wanted, links: dict[str, str], *, ho
 
 
 async def _look(
-    mission: Mission, wanted: Wanted | None, links: dict[str, str]
+    mission: Mission, folder: Path, robots: Sequence[str], wanted: Wanted | None
 ) -> dict[str, tuple[str, bool]]:
     """Return what each vehicle is doing and has on board, in words, and whether that is as wanted."""
     async with AsyncExitStack() as stack:
-        contacts = {
-            name: await stack.enter_async_context(_contact(mission, name, url)) for name, url in links.items()
-        }
+        contacts = await _contacts(stack, mission, folder, robots)
         async with asyncio.TaskGroup() as group:
             looks = {
                 name: group.create_task(_look_at(contact, None if wanted is None else wanted[name]))
@@ -216,18 +215,27 @@ async def _look_at(contact: Contact, wanted: dict[MissionType, list[MissionItem]
     return f"{words}: {'not the plan: ' + found[0] if found else 'those of the plan'}", not found
 
 
-def _contact(mission: Mission, robot: str, url: str) -> Contact:
-    """Return the vehicle's contact; entering it opens the link."""
+async def _contacts(
+    stack: AsyncExitStack, mission: Mission, folder: Path, robots: Iterable[str]
+) -> dict[str, Contact]:
+    """Open the links of robots for as long as the stack lasts, and return who is at their ends."""
+    from malipp_field.cli.display import err
     from malipp_field.clock import WallClock
-    from malipp_field.link.connection import MavConnection
+    from malipp_field.link import KeyRing, Links, vehicle_link
     from malipp_field.link.contact import Contact
 
-    settings, station = mission.vehicle(robot), mission.ground_station
-    assert settings.system_id is not None
-    own = (station.system_id, station.component_id)
-    return Contact(
-        (settings.system_id, settings.component_id),
-        lambda on_message: MavConnection.open(url, on_message, *own),
-        WallClock(),
-        own,
-    )
+    clock = WallClock()
+    keys = stack.enter_context(KeyRing())
+    links = await stack.enter_async_context(Links(clock))
+    contacts = {}
+    for name in robots:
+        where = vehicle_link(mission, name, folder, keys)
+
+        def tell(_severity: str, text: str, name: str = name) -> None:
+            err.print(f"{name}: {text}", soft_wrap=True)
+
+        contact = Contact(
+            (where.system_id, where.component_id), partial(links.open, where, on_event=tell), clock, where.own
+        )
+        contacts[name] = await stack.enter_async_context(contact)
+    return contacts

@@ -121,7 +121,7 @@ class Agent:
         self._connection: Connection | None = None
         self.vehicle = Vehicle(where.system_id, where.component_id)
         self.progress = Progress()
-        self._driver = Driver(self.vehicle, self._send, clock)
+        self._driver = Driver(self.vehicle, self._send, clock, where.own, beats_alone=not where.shared)
         self._orders = Orders(robot, self._driver, self.progress)
         self._inbox = ConfirmationInbox()
         self._published = 0

@@ -47,6 +47,8 @@ class VehicleLink:
         To sign with, and to believe nothing that is not signed with it.
     own
         As whom to speak: system and component id.
+    shared
+        Whether other vehicles of ours are on the same link, and hear heartbeats that are not theirs.
     """
 
     url: LinkUrl
@@ -54,6 +56,7 @@ class VehicleLink:
     component_id: int = AUTOPILOT_COMPONENT
     key: SigningKey | None = None
     own: tuple[int, int] = (GROUND_SYSTEM, GROUND_COMPONENT)
+    shared: bool = False
 
 
 def vehicle_link(mission: Mission, robot: str, folder: Path, keys: KeyRing) -> VehicleLink:
@@ -80,7 +83,9 @@ def vehicle_link(mission: Mission, robot: str, folder: Path, keys: KeyRing) -> V
     assert settings.system_id is not None
     url, ground = parse_link_url(settings.link), mission.ground_station
     own = (ground.system_id, ground.component_id)
-    return VehicleLink(url, settings.system_id, settings.component_id, key, own)
+    others = (mission.vehicle(other.id).link for other in mission.team.robots if other.id != robot)
+    shared = any(other is not None and parse_link_url(other) == url for other in others)
+    return VehicleLink(url, settings.system_id, settings.component_id, key, own, shared)
 
 
 class SharedLink(Protocol):

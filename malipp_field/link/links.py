@@ -167,6 +167,9 @@ class Link:
             channels = self._channels.get(frame.system)
             if not channels and frame.message_id == mavlink.MAVLINK_MSG_ID_RADIO_STATUS:
                 channels = self.channels  # the radio they share speaks as a system of its own
+            if not channels and frame.message_id == mavlink.MAVLINK_MSG_ID_HEARTBEAT:
+                # Another ground station that speaks as we do feeds the vehicles' failsafe as we do.
+                channels = [channel for channel in self.channels if channel.where.own[0] == frame.system]
             if not channels:
                 self.strangers += 1
                 continue
