@@ -21,6 +21,7 @@ from malipp_field.link import Agent, Links, SigningKey, VehicleLink
 from malipp_field.link.signing import KEY_LENGTH
 from malipp_field.mission import Mission, TeamState
 from malipp_field.mission.link_url import parse_link_url
+from malipp_field.person import Person
 from malipp_field.plan import Plan
 from malipp_field.planner import solve
 from malipp_field.record import RECORDER_PRESENCE, Recorder
@@ -54,6 +55,7 @@ async def fly(
     speed: float | None = None,
     planner: Planner | None = None,
     on_tick: Callable[[Coordinator], None] | None = None,
+    listen: str | None = None,
 ) -> Outcome:
     """Fly a plan with simulated rovers and record everything said on the bus.
 
@@ -71,9 +73,11 @@ async def fly(
         Plans the rest of the mission when the coordinator asks; `mission_planner` where `None`.
     on_tick
         Called now and then with the coordinator, for a progress display.
+    listen
+        Where the bus listens (`any_free_port` where `None`).
     """
     clock = SimClock(start_s=time.time(), speed=mission.simulation.speed if speed is None else speed)
-    hub = f"tcp/127.0.0.1:{_free_port()}"
+    hub = listen or any_free_port()
     robots = [robot.id for robot in mission.team.robots]
     # Keys of their own: the timestamps of a fast clock are not for those of real vehicles.
     keys = {robot: secrets.token_bytes(KEY_LENGTH) for robot in robots if mission.vehicle(robot).signing_key}
@@ -104,7 +108,9 @@ async def fly(
             witnesses=(RECORDER_PRESENCE,),
             on_tick=on_tick,
         )
+        person = Person(mission, fleet, await enter(Bus(connect=(hub,))), clock)
         services = [asyncio.create_task(agent.run()) for agent in agents]
+        services.append(asyncio.create_task(person.run()))
         services.append(asyncio.create_task(clock.run()))
         return await _until_done(coordinator, services, clock)
 
@@ -137,7 +143,8 @@ def _simulated_link(mission: Mission, robot: str, url: str, secret: bytes | None
     return VehicleLink(parse_link_url(url), settings.system_id, settings.component_id, key, own)
 
 
-def _free_port() -> int:
+def any_free_port() -> str:
+    """Return a Zenoh locator of this machine's own, on a port that is free now."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
+        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"

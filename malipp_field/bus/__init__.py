@@ -2,7 +2,9 @@
 
 from malipp_field.bus.messages import (
     AnyMessage,
+    Awaited,
     Command,
+    Confirm,
     Confirmation,
     CustodyEvent,
     Event,
@@ -11,6 +13,7 @@ from malipp_field.bus.messages import (
     Load,
     Message,
     MissionText,
+    Order,
     PlanAdopted,
     Release,
     Reply,
@@ -25,8 +28,10 @@ from malipp_field.bus.session import Bus
 
 __all__ = [
     "AnyMessage",
+    "Awaited",
     "Bus",
     "Command",
+    "Confirm",
     "Confirmation",
     "CustodyEvent",
     "Event",
@@ -35,6 +40,7 @@ __all__ = [
     "Load",
     "Message",
     "MissionText",
+    "Order",
     "PlanAdopted",
     "Release",
     "Reply",

@@ -12,19 +12,19 @@ key after ``malipp/MISSION/``  type                who says it
 ``event``                      `Event`             anybody
 ``vehicle/ROBOT/telemetry``    `Telemetry`         the robot's agent
 ``vehicle/ROBOT/confirmation`` `Confirmation`      the robot's agent, for every payload action done
-``vehicle/ROBOT/command``      `Command` (query)   coordinator asks, agent answers with `Reply`
+``vehicle/ROBOT/command``      `Command` (query)   coordinator or a person asks, agent answers with `Reply`
 ``alive/NAME``                 liveliness token    agents (by robot) and the recorder, while they listen
 =============================  ==================  ====================================================
 """
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, TypeAlias
 
 from pydantic import BaseModel, ConfigDict, Field
 
 from malipp_field.plan import Plan
-from malipp_field.vehicle.steps import Action, Sample, VehicleMission
+from malipp_field.vehicle.steps import Action, Sample, VehicleMission, Witness
 
 
 class Message(BaseModel):
@@ -69,6 +69,24 @@ class Event(Message):
     robot: str | None = None
 
 
+class Awaited(BaseModel):
+    """A payload action that stands still until a person has confirmed it."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    uid: str
+    action: Action
+    node: str
+    tag: int
+    since_s: float
+    problem: str = ""
+    """What the vehicle says is wrong, where it tried by itself: ``missing``, ``full`` or ``unknown``."""
+
+    def __str__(self) -> str:
+        trouble = f" ({self.problem})" if self.problem else ""
+        return f"{self.action} container {self.tag} at {self.node}{trouble}"
+
+
 class Telemetry(Message):
     """State of one vehicle as its autopilot reports it."""
 
@@ -91,10 +109,12 @@ class Telemetry(Message):
     """All steps are done."""
     link_ok: bool
     """Heartbeats arrive."""
+    awaits: Awaited | None = None
+    """What the vehicle waits for a person to do or to judge; see `Confirm`."""
 
 
 class Confirmation(Message):
-    """A payload action that the vehicle says is done (or could not be done)."""
+    """A payload action that is done, or could not be done."""
 
     kind: Literal["confirmation/1"] = "confirmation/1"
     robot: str
@@ -108,6 +128,11 @@ class Confirmation(Message):
     value: float | None = None
     """In-situ reading of a collected sample, where the sensor gives one."""
     text: str = ""
+    """Why it is not done."""
+    by: Witness = "script"
+    """Who says so."""
+    goes_on: bool = False
+    """It is not done, and the vehicle goes on without it: as the mission has it, or as a person decided."""
 
 
 class CustodyEvent(BaseModel):
@@ -180,10 +205,29 @@ class Hold(BaseModel):
     reason: str
 
 
-class Command(Message):
-    """What the coordinator asks of one agent."""
+class Confirm(BaseModel):
+    """A person's word on the action a vehicle waits for (`Telemetry.awaits`), named by uid or by tag.
 
-    order: Annotated[Load | Start | Release | Hold, Field(discriminator="do")]
+    The agent publishes the `Confirmation`, and the vehicle goes on, done or not. Refused for any other step.
+    """
+
+    do: Literal["confirm"] = "confirm"
+    uid: str | None = None
+    tag: int | None = None
+    ok: bool = True
+    text: str = ""
+    """What went wrong."""
+    value: float | None = None
+    """Reading of a collected sample."""
+
+
+Order: TypeAlias = Load | Start | Release | Hold | Confirm
+
+
+class Command(Message):
+    """What the coordinator, or a person, asks of one agent."""
+
+    order: Annotated[Order, Field(discriminator="do")]
 
 
 class Reply(Message):

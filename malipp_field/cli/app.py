@@ -1,4 +1,4 @@
-"""The `malipp` command: plan, verify, check, export, script, upload, vehicles, sim, run, review, bench, key.
+"""The `malipp` command, of which this module has plan, verify, export, sim, run and review.
 
 A fault the user can mend is one line on stderr and exit status 2. `plan` and `run` exit with 3 when the
 mission is proven infeasible and with 4 when a limit came before the first plan, `run` with 5 when not every
@@ -22,6 +22,7 @@ import typer
 from malipp_field import __version__
 from malipp_field.cli.bench import bench
 from malipp_field.cli.check import check, show_faults
+from malipp_field.cli.confirm import confirm
 from malipp_field.cli.files import MissionFile, PlanFile, verified
 from malipp_field.cli.key import key
 from malipp_field.cli.script import script
@@ -239,6 +240,10 @@ def run(
     ] = None,
     time_limit: Seconds = None,
     speed: Speed = None,
+    listen: Annotated[
+        str | None,
+        typer.Option(metavar="ADDRESS", help="Where the bus listens, such as tcp/127.0.0.1:7447; any port."),
+    ] = None,
 ) -> None:
     """Plan, export, fly with simulated rovers, record and review, all in one.
 
@@ -260,7 +265,7 @@ def run(
     _stop_without_routes(found)
     if show_faults(mission, found):
         raise PlanError("the missions of the plan are not to be uploaded")
-    if not whole_run(mission, mission_file, found, output, speed):
+    if not whole_run(mission, mission_file, found, output, speed, listen):
         raise typer.Exit(INCOMPLETE)
 
 
@@ -291,6 +296,7 @@ def review(
 app.command(short_help="Check vehicle missions before an upload.")(check)
 app.command(short_help="Put the missions of a plan on the vehicles.")(upload)
 app.command(short_help="Show the vehicles, and what is on them.")(vehicles)
+app.command(short_help="Say that what a vehicle waits for is done.")(confirm)
 app.command(short_help="Run the paper's experiments: tables, figures, a page.")(bench)
 app.command(short_help="Write the payload script for ArduPilot rovers.")(script)
 app.command(short_help="Make a signing key for a vehicle, and give it to it.")(key)

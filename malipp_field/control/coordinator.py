@@ -27,14 +27,17 @@ from malipp_field.bus import (
 )
 from malipp_field.clock import Clock
 from malipp_field.control.dispatch import Dispatch, Severity
+from malipp_field.control.ending import conclusion
 from malipp_field.control.experience import Experience
 from malipp_field.control.gates import may_pass
+from malipp_field.control.launch import busy, load_first
 from malipp_field.control.ledger import CustodyLedger
 from malipp_field.control.lookahead import LookAhead, Outlook, Roads, Whereabouts
 from malipp_field.control.orders import Orders
 from malipp_field.control.remainder import remainder
 from malipp_field.control.revision import Revision, revise
 from malipp_field.control.schedule import Deviation, Expected, deviation, expectations
+from malipp_field.control.stranded import broken_chain
 from malipp_field.control.tracks import Track
 from malipp_field.mission import Mission, TeamState, initial_state
 from malipp_field.plan import Plan
@@ -105,7 +108,7 @@ class Coordinator:
         self._roads = Roads(mission)
         self._experience = Experience()
         self.ledger = CustodyLedger()
-        compiled = compile_plan(mission, plan)
+        compiled = compile_plan(mission, plan, start_s=clock.now_s())
         self.tracks = {
             robot: Track(mission, plan.robot(robot), vehicle_mission)
             for robot, vehicle_mission in compiled.missions.items()
@@ -173,6 +176,9 @@ class Coordinator:
         robot = telemetry.robot
         if not self._is_from(robot, key):
             return
+        before = self.tracks[robot].telemetry
+        if telemetry.awaits is not None and (before is None or before.awaits is None):
+            self._say("info", f"waits for a person: {telemetry.awaits}; then: malipp confirm", robot)
         leg = self.tracks[robot].update(telemetry, self._roads, len(self.ledger.on_board(robot)))
         if leg is not None and self._experience.note(leg, whole=True):
             self._say(
@@ -185,15 +191,30 @@ class Coordinator:
     def _on_confirmation(self, key: str, confirmation: Confirmation) -> None:
         if not self._is_from(confirmation.robot, key):
             return
-        what = f"{confirmation.action} of container {confirmation.tag} at {confirmation.node}"
         if not confirmation.ok:
-            self._say("error", f"{what} failed: {confirmation.text}", confirmation.robot)
+            self._on_failure(confirmation)
             return
         self.tracks[confirmation.robot].confirm(confirmation.uid)
         refusal = self.ledger.confirm(confirmation)
         if refusal is not None:
             self._say("error", f"custody does not add up: {refusal}", confirmation.robot)
             return
+        self._publish("ledger", self.ledger.message(self._clock.now_s()))
+
+    def _on_failure(self, confirmation: Confirmation) -> None:
+        robot = confirmation.robot
+        what = f"{confirmation.action} of container {confirmation.tag} at {confirmation.node}"
+        if not confirmation.goes_on:
+            self._say(
+                "error",
+                f"{what} failed: {confirmation.text}. The vehicle holds. Put it right and set it to AUTO: it "
+                "tries again. Or do it by hand, or go on without, and say so: malipp confirm",
+                robot,
+            )
+            return
+        self._say("warning", f"goes on without the {what}: {confirmation.text or 'not done'}", robot)
+        self.tracks[robot].confirm(confirmation.uid)
+        self.ledger.miss(confirmation)
         self._publish("ledger", self.ledger.message(self._clock.now_s()))
 
     async def _await_presence(self) -> list[str]:
@@ -211,18 +232,19 @@ class Coordinator:
 
     async def _launch(self) -> str | None:
         """Load and start every vehicle that has something to do; return why not, on failure."""
-        busy = {robot: track.mission for robot, track in self.tracks.items() if track.mission.steps}
         with self._clock.real_time():
-            refusals = await self._dispatch.load(busy)
+            self._start_s, refusals = await load_first(
+                self.mission, self.plan, self.tracks, self._dispatch, self._clock
+            )
             if refusals:
                 return _in_words("not started, a vehicle does not hold its mission", refusals)
-            self._start_s = self._clock.now_s()
             self.ledger.expect(self._samples.values())
             self._announce("first plan")
-            refusals = await self._dispatch.start(busy)
+            moving = busy(self.tracks)
+            refusals = await self._dispatch.start(moving)
         self._under_way = True
         self._quiet_until_s = self._clock.now_s() + _PAUSE_S / 2
-        return _in_words("no vehicle starts", refusals) if busy and len(refusals) == len(busy) else None
+        return _in_words("no vehicle starts", refusals) if moving and len(refusals) == len(moving) else None
 
     def _in_force(self) -> dict[str, VehicleMission]:
         return {robot: track.mission for robot, track in self.tracks.items()}
@@ -266,7 +288,7 @@ class Coordinator:
         if step is None or step.action is not Action.WAIT or not track.reports(step):
             return None
         clearance_s = self.mission.team.clearance_s
-        free = may_pass(robot, step.tags, self.ledger, self.tracks, self._clock.now_s(), clearance_s)
+        free = may_pass(robot, step, self.ledger, self.tracks, self._clock.now_s(), clearance_s)
         return step if free else None
 
     # Replanning -----------------------------------------------------------------------------------------
@@ -275,6 +297,8 @@ class Coordinator:
         """Return why the plan in force should be looked at again, or `None`."""
         if self._clock.now_s() < self._quiet_until_s:
             return None
+        if (broken := broken_chain(self.tracks, self.ledger)) is not None:
+            return broken
         for robot in self.tracks:
             found = self._deviation(robot)
             if found is None:
@@ -327,7 +351,8 @@ class Coordinator:
         if not plan.robots:
             self._say("warning", f"no new plan, going on as planned: {plan.reason or plan.status}")
             return None
-        return revise(self.mission, plan, outlook, self.ledger, self._in_force())
+        now_s = self._clock.now_s()
+        return revise(self.mission, plan, outlook, self.ledger, self._in_force(), self._start_s, now_s)
 
     async def _plan_rest(self, outlook: Outlook) -> Plan:
         """Plan with an energy reserve; where that is too much to ask by now, without it, in the time left."""
@@ -386,25 +411,8 @@ class Coordinator:
     # The end --------------------------------------------------------------------------------------------
 
     def _over(self) -> Outcome | None:
-        if all(track.finished for track in self.tracks.values()):
-            if self.ledger.all_home:
-                home = sum(r.state == "delivered" for r in self.ledger.records.values())
-                return self._ended(True, "every sample taken is home" if home else "no sample was taken")
-            away = sum(r.state in ("on_board", "cached") for r in self.ledger.records.values())
-            return self._ended(False, f"all vehicles are done, but {away} samples are not home")
-        stall_s = self.mission.replanning.stall_s
-        progress_s = max(self._start_s, *(track.progress_s for track in self.tracks.values()))
-        if self._clock.now_s() - progress_s > stall_s:
-            stuck = ", ".join(self._stuck(robot) for robot, t in self.tracks.items() if not t.finished)
-            return self._ended(False, f"no progress for {stall_s:.0f} s: {stuck}")
-        return None
-
-    def _stuck(self, robot: str) -> str:
-        """Return a vehicle that gets no further, with the reason where it is plain."""
-        telemetry, budget_j = self.tracks[robot].telemetry, self.mission.robot(robot).energy_budget_j
-        if telemetry is None or not telemetry.link_ok:
-            return f"{robot} (not heard any more)"
-        return f"{robot} (battery empty)" if telemetry.energy_used_j >= 0.999 * budget_j else robot
+        found = conclusion(self.mission, self.tracks, self.ledger, self._start_s, self._clock.now_s())
+        return None if found is None else self._ended(*found)
 
     def _ended(self, complete: bool, reason: str) -> Outcome:
         self._under_way = False

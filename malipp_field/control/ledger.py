@@ -19,6 +19,8 @@ class CustodyLedger:
 
     def __init__(self) -> None:
         self._records: dict[int, SampleRecord] = {}
+        self._given_up: set[int] = set()
+        self._early: dict[int, list[Confirmation]] = {}
 
     @property
     def records(self) -> dict[int, SampleRecord]:
@@ -34,6 +36,19 @@ class CustodyLedger:
     def all_home(self) -> bool:
         """Whether every container that was taken is delivered."""
         return all(r.state in ("planned", "withdrawn", "delivered") for r in self._records.values())
+
+    @property
+    def given_up(self) -> list[int]:
+        """Tags of samples that could not be taken where they were wanted."""
+        return sorted(tag for tag in self._given_up if not self._records[tag].history)
+
+    def gone(self, tags: Iterable[int]) -> list[int]:
+        """Return those of ``tags`` that nobody is going to bring: missing, or not taken after all."""
+        return [tag for tag in tags if tag in self._records and self._is_gone(self._records[tag])]
+
+    @staticmethod
+    def _is_gone(record: SampleRecord) -> bool:
+        return record.state in ("lost", "withdrawn")
 
     def message(self, time_s: float) -> Ledger:
         """Return the ledger as it is published."""
@@ -54,14 +69,33 @@ class CustodyLedger:
             if known is None:
                 self._records[tag] = SampleRecord(sample=sample, state="planned", holder=None)
 
+    @property
+    def unsettled(self) -> set[int]:
+        """Tags that were picked by what one vehicle says, while another's drop has not been heard of yet."""
+        return set(self._early)
+
     def confirm(self, confirmation: Confirmation) -> str | None:
-        """Take in a payload action that was done; return why not, when it cannot have been."""
-        record = self._records.get(confirmation.tag)
+        """Take in a payload action that was done; return why not, when it cannot have been.
+
+        A vehicle that keeps its gate by time may be heard of before the one that left the container. What
+        it says is kept until the drop is known.
+        """
+        tag = confirmation.tag
+        record = self._records.get(tag)
         if record is None:
-            return f"container {confirmation.tag} is not known"
+            return f"container {tag} is not known"
         refusal = _refusal(record, confirmation)
         if refusal is not None:
-            return f"container {confirmation.tag} {refusal}"
+            carried = record.state == "on_board" and record.holder != confirmation.robot
+            if tag in self._early or (carried and confirmation.action is Action.PICK):
+                self._early.setdefault(tag, []).append(confirmation)
+            return f"container {tag} {refusal}"
+        self._enter(record, confirmation)
+        for early in self._early.pop(tag, []):
+            self.confirm(early)
+        return None
+
+    def _enter(self, record: SampleRecord, confirmation: Confirmation) -> None:
         state, holder = {
             Action.COLLECT: ("on_board", confirmation.robot),
             Action.DROP: ("cached", confirmation.node),
@@ -78,7 +112,21 @@ class CustodyLedger:
         if confirmation.action is Action.COLLECT:
             changes["value"] = confirmation.value
         self._records[confirmation.tag] = record.model_copy(update=changes)
-        return None
+
+    def miss(self, confirmation: Confirmation) -> None:
+        """Take in an action that a vehicle went on without.
+
+        What was to be taken is withdrawn. A container that should have been there, or on board, is missing,
+        and stays where it was known last; one that is elsewhere by the ledger stays what it is.
+        """
+        record = self._records.get(confirmation.tag)
+        if record is None or _refusal(record, confirmation) is not None:
+            return
+        collect = confirmation.action is Action.COLLECT
+        if collect:
+            self._given_up.add(confirmation.tag)
+        state = "withdrawn" if collect else "lost"
+        self._records[confirmation.tag] = record.model_copy(update={"state": state})
 
     def on_board(self, robot: str) -> tuple[int, ...]:
         """Return the tags on board a robot, in the order in which they came."""
@@ -118,10 +166,11 @@ class CustodyLedger:
 
 def _refusal(record: SampleRecord, confirmation: Confirmation) -> str | None:
     """Return why an action cannot have been done to a container in its present state."""
+    found = record.state == "lost" and confirmation.action is Action.PICK
     needed = {
         Action.COLLECT: ("withdrawn" if record.state == "withdrawn" else "planned", None),
         Action.DROP: ("on_board", confirmation.robot),
-        Action.PICK: ("cached", confirmation.node),
+        Action.PICK: ("lost" if found else "cached", confirmation.node),
         Action.UNLOAD: ("on_board", confirmation.robot),
     }.get(confirmation.action)
     if needed is None:

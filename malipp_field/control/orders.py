@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Mapping
 
-from malipp_field.bus import Bus, Command, Hold, Load, Release, Reply, Start, vehicle_key
+from malipp_field.bus import Bus, Command, Order, Reply, vehicle_key
 from malipp_field.clock import Clock
 from malipp_field.errors import LinkError
 
@@ -20,7 +20,7 @@ class Orders:
     def __init__(self, mission_name: str, bus: Bus, clock: Clock) -> None:
         self._mission_name, self._bus, self._clock = mission_name, bus, clock
 
-    async def give(self, robot: str, order: Load | Start | Release | Hold) -> Reply:
+    async def give(self, robot: str, order: Order) -> Reply:
         """Give one order and return the agent's answer; silence is a refusal with that reason."""
         now_s = self._clock.now_s()
         try:
@@ -32,7 +32,7 @@ class Orders:
         except LinkError as fault:
             return Reply(time_s=now_s, ok=False, text=str(fault))
 
-    async def give_all(self, orders: Mapping[str, Load | Start | Release | Hold]) -> dict[str, str]:
+    async def give_all(self, orders: Mapping[str, Order]) -> dict[str, str]:
         """Give orders to several vehicles at once; return the refusals, by robot."""
         replies = await asyncio.gather(*(self.give(robot, order) for robot, order in orders.items()))
         return {robot: reply.text for robot, reply in zip(orders, replies, strict=True) if not reply.ok}

@@ -12,6 +12,8 @@ from malipp_field.plan import Plan
 from malipp_field.vehicle.compile import Custody, compile_plan
 from malipp_field.vehicle.steps import Action, Sample, Step, VehicleMission
 
+_SAME_TIME_S = 1.0
+
 
 @dataclass(frozen=True)
 class Revision:
@@ -40,11 +42,13 @@ def revise(
     outlook: Outlook,
     ledger: CustodyLedger,
     in_force: Mapping[str, VehicleMission],
+    start_s: float | None = None,
+    now_s: float | None = None,
 ) -> Revision:
     """Compile ``plan`` and compare it with the missions in force.
 
     Containers that were promised already keep their tags, so that a vehicle whose part of the plan is what
-    it was is not touched.
+    it was is not touched. See `compile_plan` for ``start_s`` and ``now_s``.
     """
     custody = Custody(
         on_board=outlook.on_board,
@@ -52,7 +56,7 @@ def revise(
         promised=outlook.promised,
         next_tag=ledger.next_tag,
     )
-    compiled = compile_plan(mission, plan, custody)
+    compiled = compile_plan(mission, plan, custody, start_s, now_s)
     missions = {}
     for robot_id, part in compiled.missions.items():
         old = in_force[robot_id]
@@ -61,9 +65,7 @@ def revise(
         assert first_free is not None
         if not same_work(old.steps[first_free:], part.steps):
             steps = (*outlook.committed[robot_id], *part.steps) or (_stay(robot_id, old, diverges_at, plan),)
-            missions[robot_id] = VehicleMission(
-                robot=robot_id, version=plan.version, home=part.home, steps=steps
-            )
+            missions[robot_id] = part.model_copy(update={"steps": steps})
     committed_tags = {tag for steps in outlook.committed.values() for step in steps for tag in step.tags}
     still_to_collect = {
         tag: record.sample
@@ -74,12 +76,22 @@ def revise(
 
 
 def same_work(old: Sequence[Step], new: Sequence[Step]) -> bool:
-    """Whether two sequences of steps make a vehicle do the same."""
+    """Whether two sequences of steps make a vehicle do the same, and nothing of it too early.
+
+    A gate that is now to stay shut for longer than the vehicle knows of is another one; one that may open
+    sooner is not: the coordinator opens it.
+    """
 
     def work(steps: Sequence[Step]) -> list[tuple[object, ...]]:
-        return [(step.action, step.node, step.tags, step.peer) for step in steps]
+        return [(step.action, step.node, step.tags, step.peer, step.if_missing) for step in steps]
 
-    return work(old) == work(new)
+    return work(old) == work(new) and not any(map(_opens_too_early, old, new))
+
+
+def _opens_too_early(old: Step, new: Step) -> bool:
+    if old.not_before_s is None:
+        return False
+    return new.not_before_s is None or new.not_before_s > old.not_before_s + _SAME_TIME_S
 
 
 def _stay(robot_id: str, old: VehicleMission, diverges_at: str | None, plan: Plan) -> Step:

@@ -10,11 +10,14 @@ from typing import Literal, Protocol, TypeVar
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from malipp_field.bus.messages import (
+    Awaited,
     Command,
+    Confirm,
     Confirmation,
     Event,
     Hold,
     Message,
+    Order,
     Reply,
     Telemetry,
     presence_key,
@@ -27,10 +30,11 @@ from malipp_field.link.channels import OnEvent, OnMessage, VehicleLink
 from malipp_field.link.confirmations import ConfirmationInbox
 from malipp_field.link.driver import TICK_S, Driver
 from malipp_field.link.exchange import MavMessage
-from malipp_field.link.orders import Order, Orders
+from malipp_field.link.orders import Orders
 from malipp_field.link.progress import Progress
 from malipp_field.link.vehicle import STREAM_MESSAGES, Vehicle
 from malipp_field.vehicle.payload_protocol import PayloadReport, ack_name, parse_confirmation
+from malipp_field.vehicle.steps import Action, Step, Witness
 
 HEARTBEAT_S = 1.0
 TELEMETRY_S = 0.2
@@ -122,9 +126,10 @@ class Agent:
         self.vehicle = Vehicle(where.system_id, where.component_id)
         self.progress = Progress()
         self._driver = Driver(self.vehicle, self._send, clock, where.own, beats_alone=not where.shared)
-        self._orders = Orders(robot, self._driver, self.progress)
+        self._orders = Orders(robot, self._driver, self.progress, self._person_says)
         self._inbox = ConfirmationInbox()
         self._published = 0
+        self._awaits: Awaited | None = None
         self._began_s = clock.now_s()
         self._link_ok = False
         self._due_s = {"heartbeat": 0.0, "telemetry": 0.0, "streams": 0.0}
@@ -211,7 +216,8 @@ class Agent:
         kind = message.get_msgId()
         self._streams_unheard.discard(kind)
         if kind == mavlink.MAVLINK_MSG_ID_MISSION_CURRENT:
-            self.progress.report(message.seq, self.vehicle.mission_complete)
+            for step in self.progress.report(message.seq, self.vehicle.mission_complete):
+                self._passed(step)
         elif kind == mavlink.MAVLINK_MSG_ID_STATUSTEXT:
             self._text(message.severity, message.text)
         self._driver.receive(message, now_s)
@@ -231,36 +237,64 @@ class Agent:
             return  # no step to tie it to yet
         self._inbox.put(report)
         while (following := self._inbox.next()) is not None:
-            self._publish_confirmation(following)
+            self._script_says(following)
             self._inbox.accept()
         boot_ms = int((self._clock.now_s() - self._began_s) * 1000.0) % 2**32
         name = ack_name(self.vehicle.address[0]).encode()
         self._send(mavlink.MAVLink_named_value_int_message(boot_ms, name, self._inbox.heard))
 
-    def _publish_confirmation(self, report: PayloadReport) -> None:
+    def _script_says(self, report: PayloadReport) -> None:
         step = self.progress.step_of(report)
         if step is not None and step.uid in self.progress.done:
             return  # begun anew after a hold: the script says once more what it has done already
         if step is None:
             self._event("error", f"no mission has a step '{report.action} {report.tag}', which was confirmed")
-        self._publish(
-            "confirmation",
-            Confirmation(
-                time_s=self._clock.now_s(),
-                robot=self._robot,
-                number=self._published + 1,
-                uid=step.uid if step else "",
-                action=report.action,
-                node=step.node if step else "",
-                tag=report.tag,
-                ok=report.ok,
-                value=report.value,
-                text="" if report.ok else report.result,
-            ),
-        )
+        goes_on = step is not None and report.result == "missing" and step.if_missing == "go_on"
+        self._publish_confirmation(
+            step, report.action, report.tag, by="script", ok=report.ok, value=report.value,
+            text="" if report.ok else report.result, goes_on=goes_on,
+        )  # fmt: skip
+        if step is not None and (report.ok or goes_on):
+            self.progress.settle(step)
+        elif step is not None:
+            self.progress.failed[step.uid] = report.result
+
+    def _passed(self, step: Step) -> None:
+        self._publish_confirmation(step, step.action, step.tags[0], by="progress")
+        self.progress.settle(step)
+
+    def _person_says(self, step: Step, word: Confirm) -> None:
+        self._publish_confirmation(
+            step, step.action, step.tags[0], by="person", ok=word.ok, value=word.value, text=word.text,
+            goes_on=not word.ok,
+        )  # fmt: skip
+        self.progress.settle(step)
+
+    def _publish_confirmation(
+        self, step: Step | None, action: Action, tag: int, *, by: Witness, ok: bool = True,
+        value: float | None = None, text: str = "", goes_on: bool = False,
+    ) -> None:  # fmt: skip
+        confirmation = Confirmation(
+            time_s=self._clock.now_s(), robot=self._robot, number=self._published + 1,
+            uid=step.uid if step else "", action=action, node=step.node if step else "", tag=tag,
+            ok=ok, value=value, text=text, by=by, goes_on=goes_on,
+        )  # fmt: skip
+        self._publish("confirmation", confirmation)
         self._published += 1
-        if step is not None and report.ok:
-            self.progress.done.add(step.uid)
+
+    def _awaited(self, now_s: float) -> Awaited | None:
+        """Return what waits for a person, and since when."""
+        step, since_s = self.progress.awaited(), now_s
+        if step is None:
+            self._awaits = None
+            return None
+        if self._awaits is not None and self._awaits.uid == step.uid:
+            since_s = self._awaits.since_s
+        self._awaits = Awaited(
+            uid=step.uid, action=step.action, node=step.node, tag=step.tags[0], since_s=since_s,
+            problem=self.progress.failed.get(step.uid, ""),
+        )  # fmt: skip
+        return self._awaits
 
     def _telemetry(self, now_s: float) -> Telemetry:
         vehicle, progress = self.vehicle, self.progress
@@ -279,6 +313,7 @@ class Agent:
             step_uid=None if progress.current is None else progress.current.uid,
             finished=progress.finished,
             link_ok=self._link_ok,
+            awaits=self._awaited(now_s),
         )
 
     def _publish(self, what: str, message: Message) -> None:

@@ -153,8 +153,10 @@ class Driver:
         await self._command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0.0)
         await self._see(lambda v: not v.armed, "disarm")
 
-    async def stand_at(self, seq: int) -> None:
+    async def stand_at(self, seq: int, shown: int | None = None) -> None:
         """Make item ``seq`` current while the vehicle stands, so that it never moves on a stale index.
+
+        The vehicle then reports ``shown``, where that is another (`Layout.shown_at`).
 
         In HOLD that is only allowed once AUTO has been entered; else AUTO is entered first,
         disarmed.
@@ -168,7 +170,7 @@ class Driver:
             await self.enter("AUTO")
         elif self.vehicle.mode != "HOLD":
             await self.enter("HOLD")
-        await self.point_at(seq)
+        await self.point_at(seq, shown)
 
     async def point_at(self, seq: int, last: int | None = None) -> None:
         """Make item ``seq`` current, whatever the vehicle is doing; in AUTO it turns to it at once.

@@ -4,21 +4,20 @@ from __future__ import annotations
 
 import contextlib
 import logging
-from typing import TypeAlias
+from collections.abc import Callable
 
-from malipp_field.bus.messages import Hold, Load, Release, Start
+from malipp_field.bus.messages import Confirm, Load, Order, Release, Start
 from malipp_field.errors import LinkError
 from malipp_field.link.driver import Driver
 from malipp_field.link.progress import Progress
 from malipp_field.link.replacement import replace_under_way, safe_until_s
 from malipp_field.vehicle.layout import lay_out
 from malipp_field.vehicle.payload_protocol import REPEAT_S
-from malipp_field.vehicle.steps import Action, VehicleMission
+from malipp_field.vehicle.steps import Action, Step, VehicleMission
 
 CONFIRMATION_LIMIT_S = 10 * REPEAT_S
 """How long to wait for the confirmation of a payload step that the vehicle has left behind."""
 
-Order: TypeAlias = Load | Start | Release | Hold
 
 log = logging.getLogger(__name__)
 
@@ -32,10 +31,15 @@ class Orders:
         Whose vehicle it is.
     driver, progress
         The vehicle, and which steps it has done.
+    confirmed
+        Publishes a person's word on a step.
     """
 
-    def __init__(self, robot: str, driver: Driver, progress: Progress) -> None:
+    def __init__(
+        self, robot: str, driver: Driver, progress: Progress, confirmed: Callable[[Step, Confirm], None]
+    ) -> None:
         self._robot, self._driver, self._progress = robot, driver, progress
+        self._confirmed = confirmed
 
     async def carry_out(self, order: Order) -> str:
         """Carry out an order and return what was done, in words.
@@ -52,6 +56,8 @@ class Orders:
             return await self._start(order.version)
         if isinstance(order, Release):
             return await self._release(order.uid)
+        if isinstance(order, Confirm):
+            return await self._confirm(order)
         await self._driver.enter("HOLD")
         return "holding"
 
@@ -80,7 +86,9 @@ class Orders:
         Return whether it is done; else the vehicle must be held, at once.
         """
         vehicle, leg, item = self._driver.vehicle, self._progress.current, self._progress.resumption(mission)
-        if not (self._progress.in_force and vehicle.armed and vehicle.mode == "AUTO"):
+        driving = self._progress.in_force and vehicle.armed and vehicle.mode == "AUTO"
+        # What this mission shows of steps left behind unconfirmed the next one would not.
+        if not driving or self._progress.unconfirmed():
             return False
         if leg is None or leg.action is not Action.DRIVE or item is None:
             return False
@@ -146,7 +154,7 @@ class Orders:
             return
         begun = self._progress.under_way
         try:
-            await self._driver.stand_at(item)
+            await self._driver.stand_at(item, lay_out(mission).shown_at(item))
             self._progress.follow(item)  # from here on it may move, whatever the link lets us hear of it
             await self._driver.launch()
         except LinkError:
@@ -169,3 +177,23 @@ class Orders:
             raise LinkError(f"the vehicle is not at {uid}, but at {current.uid if current else 'no step'}")
         await self._driver.leave(lay_out(mission).last_item(index))
         return "released"
+
+    async def _confirm(self, order: Confirm) -> str:
+        """Publish a person's word on the step that waits for it, and have the vehicle go on."""
+        mission, step = self._progress.mission, self._progress.awaited()
+        if mission is None or step is None:
+            raise LinkError("nothing waits for a person's word")
+        meant = order.uid == step.uid if order.uid is not None else order.tag in step.tags
+        if not meant:
+            asked = order.uid if order.uid is not None else f"container {order.tag}"
+            raise LinkError(f"{step.uid} waits for a person's word, not {asked}")
+        failed = step.uid in self._progress.failed
+        if step.uid not in self._progress.done:
+            self._confirmed(step, order)
+        index, current = mission.index_of(step.uid), self._progress.current
+        if current is not None and current.uid == step.uid and index is not None:
+            if failed:  # the vehicle holds
+                await self._go(mission)
+            elif index + 1 < len(mission.steps):
+                await self._driver.leave(lay_out(mission).last_item(index))
+        return "confirmed"

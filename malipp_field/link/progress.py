@@ -1,14 +1,15 @@
 """Which steps are done, and which is being carried out; no I/O.
 
-"Reached" proves nothing: a payload step is done when the payload script has confirmed it, a drive or a wait
-when MISSION_CURRENT has moved past it while the mission on board was verified.
+"Reached" proves nothing: a payload step is done when the payload script or a person has confirmed it, a drive
+or a wait when MISSION_CURRENT has moved past it while the mission on board was verified. For an action of
+hardware that cannot speak that has to do as well, seen twice.
 """
 
 from __future__ import annotations
 
 from collections import deque
 
-from malipp_field.vehicle.layout import Layout, lay_out
+from malipp_field.vehicle.layout import Layout, confirmed_by, lay_out
 from malipp_field.vehicle.payload_protocol import PayloadReport
 from malipp_field.vehicle.steps import Action, Step, VehicleMission
 
@@ -23,12 +24,15 @@ class Progress:
     mission : VehicleMission or None
         The verified mission on board.
     done : set of str
-        Uids of steps done, under this mission or an earlier one.
+        Uids of steps done, under this mission or an earlier one, or gone on without.
+    failed : dict of str to str
+        What is wrong with steps that the vehicle tried and holds at, by uid.
     """
 
     def __init__(self) -> None:
         self.mission: VehicleMission | None = None
         self.done: set[str] = set()
+        self.failed: dict[str, str] = {}
         self._known: deque[VehicleMission] = deque()  # newest first
         self._followed: VehicleMission | None = None
         self._layout: Layout | None = None  # of the mission followed
@@ -89,7 +93,8 @@ class Progress:
         first = layout.first_item(index)
         if current is None or self._layout is None or current.uid != mission.steps[index].uid:
             return first
-        return min(first + max(0, self._item - self._layout.first_item(self._index)), layout.last_item(index))
+        left = self._layout.last_item(self._index) - self._item
+        return max(first, layout.last_item(index) - left)
 
     def follow(self, item: int) -> None:
         """Count MISSION_CURRENT from now on: the vehicle is at that item of the mission on board."""
@@ -101,28 +106,63 @@ class Progress:
         """Note that the mission was not begun after all."""
         self._followed, self._layout, self._index, self._item = None, None, 0, 0
 
-    def report(self, seq: int, complete: bool) -> None:
+    def report(self, seq: int, complete: bool) -> list[Step]:
         """Take in MISSION_CURRENT; at item 0 the vehicle is at no step.
 
         A payload step without its confirmation stops the count: what is said to lie behind it is either a
         stale index or a vehicle that passes over its work.
+
+        Returns
+        -------
+        list of Step
+            Payload steps not noted as done that are confirmed by the vehicle's having gone past them. It
+            takes two reports in a row: a single one may have been under way for long.
         """
         mission, layout = self.mission, self._layout
         if mission is None or layout is None or not self.in_force:
-            return
+            return []
         if not (complete or 0 < seq < len(layout.steps)):
-            return
+            return []
+        before, passed = self._index, []
         self._index, self._item = (len(mission.steps), 0) if complete else (layout.steps[seq], seq)
-        for step in mission.steps[: self._index]:
+        for index, step in enumerate(mission.steps[: self._index]):
             if step.action in _PASSED_BY:
                 self.done.add(step.uid)
-            elif step.uid not in self.done:
+            elif step.uid in self.done:
+                continue
+            elif index < before and confirmed_by(mission, step) == "progress":
+                passed.append(step)
+            else:
                 break
+        return passed
 
     def unconfirmed(self) -> list[Step]:
         """Return the payload steps that the vehicle has left behind without a confirmation so far."""
         steps = () if self._followed is None else self._followed.steps[: self._index]
         return [step for step in steps if step.action not in _PASSED_BY and step.uid not in self.done]
+
+    def settle(self, step: Step) -> None:
+        """Note that nothing is left to do about a payload step."""
+        self.done.add(step.uid)
+        self.failed.pop(step.uid, None)
+
+    def awaited(self) -> Step | None:
+        """Return the step that waits for a person's word, or that the vehicle has not left although it came.
+
+        It is one the vehicle holds at or was taken past without a word, or one that it failed at.
+        """
+        mission, layout = self.mission, self._layout
+        if mission is None or layout is None or not self.in_force:
+            return None
+        for index, step in enumerate(mission.steps[: self._index + 1]):
+            here = index == self._index
+            if here and step.uid in self.failed:
+                return step
+            if confirmed_by(mission, step) != "person" or (here and self._item < layout.last_item(index)):
+                continue
+            if step.uid not in self.done or (here and index + 1 < len(mission.steps)):
+                return step
+        return None
 
     def step_of(self, report: PayloadReport) -> Step | None:
         """Return the step a confirmation belongs to, or None when no mission so far has such a step."""
@@ -137,7 +177,7 @@ class Progress:
     def objection(self, new: VehicleMission, diverges_at: str | None) -> str | None:
         """Return why ``new`` must not replace the mission under way, or None when it may (see `Load`)."""
         step = self.current
-        if step is None or new.index_of(step.uid) is not None:
+        if step is None or step.uid in self.done or new.index_of(step.uid) is not None:
             return None
         if step.action is Action.WAIT and step.uid == diverges_at:
             return None

@@ -171,6 +171,9 @@ class Simulation(StrictModel):
     seed: Annotated[int, Field(ge=0)] = 0
     speed: Positive = 20.0
     """Simulated seconds for each wall second."""
+    person_s: NonNegative | None = 20.0
+    """Seconds from when a vehicle waits for a person to when the simulated one has done the work and says so;
+    null: the work is done at once, and `malipp confirm` is left to you."""
     terrain: tuple[TerrainPatch, ...] = Field(default=(), strict=False)
 
 

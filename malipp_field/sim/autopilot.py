@@ -9,13 +9,16 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from malipp_field.mission.vehicles import ByHand
 from malipp_field.sim.activities import Activity, Do, InTurn, Pause
+from malipp_field.sim.items import NAVIGATION
 from malipp_field.sim.mission_run import MissionRun, RunState
 from malipp_field.sim.mission_store import MAX_ITEMS, MissionStore
 from malipp_field.sim.motion import Leg, Position
+from malipp_field.sim.outputs import Outputs, hangs
 from malipp_field.sim.params import Parameters
-from malipp_field.sim.payload import PayloadScript, action_of
-from malipp_field.sim.world import World
+from malipp_field.sim.payload import PayloadScript, action_of, gate_delay_s
+from malipp_field.sim.world import Outcome, World
 from malipp_field.vehicle.items import MissionItem, degrees_e7
 from malipp_field.vehicle.steps import Action
 
@@ -27,7 +30,8 @@ MODES = {
 
 _BUDGET_SLACK = 1e-6
 """A plan may use a budget to the last joule; rounding on the way must not strand it there."""
-_DAY_S = 86400
+_HOUR_S, _DAY_S = 3600, 86400
+_OUTPUTS = {mavlink.MAV_CMD_DO_SET_SERVO, mavlink.MAV_CMD_DO_SET_RELAY, mavlink.MAV_CMD_DO_GRIPPER}
 
 
 @dataclass(frozen=True)
@@ -63,6 +67,10 @@ class Autopilot:
     stranded : bool
         The battery is empty: the rover stands where it is and never moves again. Its radio, autopilot and
         payload have a supply of their own.
+    hung : bool
+        A mission item has stopped the autopilot: it does and says nothing until it is restarted.
+    outputs : Outputs
+        Servos, relays and gripper.
     said : list
         STATUSTEXT and MISSION_ITEM_REACHED messages not yet taken by the radio.
     """
@@ -94,9 +102,11 @@ class Autopilot:
         self.mode: int = mavlink.ROVER_MODE_MANUAL
         self.armed = False
         self.internal_error = False
+        self.hung = False
         self.home = self.position
         self.script = PayloadScript(self.robot.id, self._world)
-        self.run = MissionRun(self.store, self._begin, self._completed)
+        self.outputs = Outputs(self.robot.id, self._world)
+        self.run = MissionRun(self.store, self._begin, self._perform, self._completed)
         self._energy_at_boot_j = self.energy_used_j
         self._activity: Activity | None = None
         self._leg: Leg | None = None
@@ -214,16 +224,35 @@ class Autopilot:
     @property
     def _active(self) -> bool:
         """Whether the mission goes on: disarmed it does not, nor in any other mode."""
-        return self.armed and self.mode == mavlink.ROVER_MODE_AUTO
+        return self.armed and self.mode == mavlink.ROVER_MODE_AUTO and not self.hung
 
     def _item_ended(self) -> None:
         self._activity = self._leg = None
-        self.said.append(mavlink.MAVLink_mission_item_reached_message(self.run.seq))
+        ended, follower = self.run.active, self.store.item(self.run.seq + 1)
+        # Each link has one slot for "reached": a DO command right behind a waypoint can take the waypoint's.
+        waypoint = ended is not None and ended.command == mavlink.MAV_CMD_NAV_WAYPOINT
+        if not (waypoint and follower is not None and follower.command not in NAVIGATION):
+            self._reached(self.run.seq)
         self.run.item_ended()
+
+    def _reached(self, seq: int) -> None:
+        self.said.append(mavlink.MAVLink_mission_item_reached_message(seq))
 
     def _completed(self) -> None:
         self._activity = self._leg = None
         self.say(mavlink.MAV_SEVERITY_NOTICE, "Mission Complete")
+
+    def _perform(self, item: MissionItem) -> None:
+        """Carry out a DO command."""
+        if hangs(item):
+            self.hung = True
+        elif item.command in _OUTPUTS:
+            text = self.outputs.drive(item, self.position)
+            if text is not None:
+                self.say(mavlink.MAV_SEVERITY_INFO, text)
+        elif item.command == mavlink.MAV_CMD_DO_WINCH:
+            self.say(mavlink.MAV_SEVERITY_WARNING, f"Skipping invalid cmd #{item.command}")
+            self._reached(item.seq)
 
     def _begin(self, item: MissionItem) -> None:
         self._leg = None
@@ -249,14 +278,17 @@ class Autopilot:
         return InTurn(_Travel(self, target), announce, Pause(stay_s))
 
     def _delay_s(self, item: MissionItem) -> float:
-        """Return how long NAV_DELAY lasts: param 1, or else until a time of day (UTC), where -1 is any."""
+        """Return how long NAV_DELAY lasts: param 1, or else until a time of day (UTC).
+
+        Of hour, minute and second those that are -1 are left out. A time just past is waited for until it
+        comes again: tomorrow, where the hour is given.
+        """
         if item.param1 > 0.0:
             return item.param1
-        now = int(self._time_s) % _DAY_S
-        parts = (now // 3600, now // 60 % 60, now % 60)
-        asked = (item.param2, item.param3, item.param4)
-        hour, minute, second = (a if a >= 0 else p for a, p in zip(asked, parts, strict=True))
-        return (hour * 3600 + minute * 60 + second - now) % _DAY_S
+        hour, minute, second = item.param2, item.param3, item.param4
+        cycles_s = [_DAY_S] * (hour >= 0) + [_HOUR_S] * (minute >= 0) + [60] * (second >= 0)
+        target_s = max(hour, 0.0) * _HOUR_S + max(minute, 0.0) * 60 + max(second, 0.0)
+        return (target_s - self._time_s) % cycles_s[0] if cycles_s else 0.0
 
     def _scripted(self, item: MissionItem) -> Activity:
         timeout_s = item.param2 if item.param2 > 0.0 else math.inf
@@ -264,17 +296,27 @@ class Autopilot:
             return Pause(timeout_s)
         action = action_of(item)
         if action is Action.WAIT:
-            return Pause(timeout_s)
+            return Pause(min(timeout_s, gate_delay_s(item.y, self._time_s)))
         if action is None:
             return Do(partial(self._refuse, f"MLP unknown action code {item.param1:.0f}"))
         duration_s = self.script.duration_s(self.store.items, item.seq)
         if duration_s > timeout_s:
             return Pause(timeout_s)
-        return InTurn(Pause(duration_s), Do(partial(self._handle, action, item.x)))
+        return InTurn(Pause(duration_s), Do(partial(self._handle, action, item.x, go_on=item.y == 1)))
 
-    def _handle(self, action: Action, tag: int) -> bool:
-        """Carry out a payload action; the rover holds when it cannot be done, rather than drive on."""
-        if self.script.carry_out(action, tag, self.position):
+    def attended(self, action: Action, tag: int) -> Outcome:
+        """Return what a person finds who does an action by hand, or looks at what the hardware has done."""
+        if isinstance(getattr(self._world.mission.vehicle(self.robot.id).payload, action.value), ByHand):
+            return self._world.act(self.robot.id, action, tag, self.position)
+        return self.outputs.outcome or Outcome("unknown")
+
+    def _handle(self, action: Action, tag: int, *, go_on: bool) -> bool:
+        """Carry out a payload action; the rover holds when it cannot be done, rather than drive on.
+
+        With ``go_on`` it says that a container is not there and drives on, as the mission has it.
+        """
+        result = self.script.carry_out(action, tag, self.position)
+        if result == "ok" or (result == "missing" and go_on):
             return True
         return self._refuse(f"Cannot {action} {tag}: holding")
 

@@ -2,11 +2,14 @@
 
 Its ways that matter to safety are kept: the active item is a copy in memory, so a new upload changes nothing
 until that item ends or another is made current; a stale number beyond the end completes the mission; and a
-completed mission stays completed in AUTO until an item is made current *and* the mission resumed.
+completed mission stays completed in AUTO until an item is made current *and* the mission resumed. DO commands
+are done together with the navigation item that follows them, and only that is ever the current one; of those
+after the last navigation item just the first is done.
 """
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from enum import Enum, auto
 
@@ -31,7 +34,9 @@ class MissionRun:
     store
         The stored mission.
     begin
-        Called with each item that is to be carried out from now on.
+        Called with each navigation item that is to be carried out from now on.
+    perform
+        Called with each DO command, which is done in passing.
     completed
         Called when no item is left.
     """
@@ -40,10 +45,12 @@ class MissionRun:
         self,
         store: MissionStore,
         begin: Callable[[MissionItem], None],
+        perform: Callable[[MissionItem], None],
         completed: Callable[[], None],
     ) -> None:
         self._store = store
         self._begin = begin
+        self._perform = perform
         self._completed = completed
         self.reset()
 
@@ -55,13 +62,9 @@ class MissionRun:
     def start_or_resume(self, restart: bool) -> None:
         """Go on with the active item as it is stored now, or from the first (on entering AUTO)."""
         stored = None if self.active is None else self._store.item(self.active.seq)
-        if restart or self.state is RunState.COMPLETE or stored is None:
-            self._enter(RunState.RUNNING)
-            self._advance(1)
-        else:
-            self._enter(RunState.RUNNING)
-            self._load(stored)
-            self._begin(stored)
+        anew = restart or self.state is RunState.COMPLETE or stored is None
+        self._enter(RunState.RUNNING)
+        self._advance(1 if anew else self._resume_at)
 
     def stop(self) -> None:
         """Leave off at the active item (on leaving AUTO)."""
@@ -88,29 +91,41 @@ class MissionRun:
         first = max(1, seq)
         if self.state is RunState.RUNNING:
             return self._advance(first)
-        self._load(self._next_navigation(first))
+        passing, item = self._ahead(first)
+        self._load(item)
         self._enter(RunState.STOPPED)
-        if self.active is not None and resume:
+        if item is None:
+            return False
+        self._resume_at = passing[0].seq if passing else item.seq
+        if resume:
             self._enter(RunState.RUNNING)
-            self._begin(self.active)
-        return self.active is not None
+            self._advance(self._resume_at)
+        return True
 
     def _advance(self, seq: int) -> bool:
         """Begin the first lasting item from ``seq`` on; what lies before it is done in passing."""
-        item = self._next_navigation(seq)
+        passing, item = self._ahead(seq)
         if item is None:
+            for command in passing[:1]:
+                self._perform(command)
             self._enter(RunState.COMPLETE)
             self._completed()
             return False
         self._load(item)
+        for command in passing:
+            self._perform(command)
         self._begin(item)
         return True
 
-    def _next_navigation(self, seq: int) -> MissionItem | None:
-        return next((item for item in self._store.items[seq:] if item.command in NAVIGATION), None)
+    def _ahead(self, seq: int) -> tuple[list[MissionItem], MissionItem | None]:
+        """Return the next navigation item from ``seq`` on, and the DO commands before it."""
+        ahead = self._store.items[seq:]
+        passing = list(itertools.takewhile(lambda item: item.command not in NAVIGATION, ahead))
+        return passing, ahead[len(passing)] if len(passing) < len(ahead) else None
 
     def _load(self, item: MissionItem | None) -> None:
         self.active: MissionItem | None = item
+        self._resume_at = 0 if item is None else item.seq
         self._store.current = self.seq
 
     def _enter(self, state: RunState) -> None:

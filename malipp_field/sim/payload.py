@@ -2,17 +2,20 @@
 
 Param 1 is the action (`ACTION_CODES`), param 3 the number of the stop, param 4 the number of containers and x
 the tag of the container. The actions of one stop share the service time beta evenly, however many they are,
-so a stop takes exactly beta, as the paper's service window assumes. `WAIT` takes none of it and never ends by
-itself: the ground lets the vehicle pass by making the next item current.
+so a stop takes exactly beta, as the paper's service window assumes. `WAIT` takes none of it. It ends when the
+ground makes the next item current or, where y gives a time of day, by itself at that time. With y = 1 any
+other action that finds its container missing says so and lets the vehicle go on.
 """
 
 from __future__ import annotations
 
+import math
+
 from malipp_field.sim.motion import Position
 from malipp_field.sim.world import World
 from malipp_field.vehicle.items import MAV_CMD_NAV_SCRIPT_TIME, MissionItem
-from malipp_field.vehicle.layout import ACTION_CODES
-from malipp_field.vehicle.payload_protocol import REPEAT_S, format_confirmation
+from malipp_field.vehicle.layout import ACTION_CODES, DAY_S, GATE_UNIT_S
+from malipp_field.vehicle.payload_protocol import REPEAT_S, Result, format_confirmation
 from malipp_field.vehicle.steps import Action
 
 _ACTIONS = {code: action for action, code in ACTION_CODES.items()}
@@ -21,6 +24,18 @@ _ACTIONS = {code: action for action, code in ACTION_CODES.items()}
 def action_of(item: MissionItem) -> Action | None:
     """Return the action an item asks for, or `None` when the script knows no such code."""
     return _ACTIONS.get(int(item.param1))
+
+
+def gate_delay_s(code: int, now_s: float) -> float:
+    """Return how long a gate stays shut unless the ground opens it; see `vehicle.layout.gate_code`.
+
+    A time of day of the last twelve hours is past: unlike NAV_DELAY the script lets a vehicle pass that is
+    late.
+    """
+    if code <= 0:
+        return math.inf
+    ahead_s = ((code - 1) * GATE_UNIT_S - now_s) % DAY_S
+    return ahead_s if ahead_s <= DAY_S / 2 else 0.0
 
 
 def actions_at_stop(items: list[MissionItem], seq: int) -> int:
@@ -59,13 +74,13 @@ class PayloadScript:
         """Return how long the action of item ``seq`` takes."""
         return self._world.mission.team.service_time_s / actions_at_stop(items, seq)
 
-    def carry_out(self, action: Action, tag: int, place: Position) -> bool:
-        """Do an action and put its confirmation on the list; return whether it could be done."""
+    def carry_out(self, action: Action, tag: int, place: Position) -> Result:
+        """Do an action and put its confirmation on the list; return what came of it."""
         outcome = self._world.act(self._robot_id, action, tag, place)
         self._number += 1
         text = format_confirmation(self._number, action, tag, outcome.result, outcome.value)
         self._unheard[self._number] = text, None
-        return outcome.result == "ok"
+        return outcome.result
 
     def acknowledge(self, number: int) -> None:
         """Strike off every confirmation up to that number; one never given is no acknowledgement."""

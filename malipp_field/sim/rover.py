@@ -89,6 +89,8 @@ class Rover:
             self.autopilot.advance(due_s)
             self._lost_ground()
         self.autopilot.advance(now_s)
+        if self.autopilot.hung:
+            return
         for store in self._stores.values():
             for message in store.poll(now_s):
                 to = Sender(message.target_system, message.target_component)
@@ -114,7 +116,7 @@ class Rover:
 
     def receive(self, message: Any, peer: Peer, now_s: float) -> None:
         """Handle one message that arrived; what is addressed to another system is ignored."""
-        if getattr(message, "target_system", 0) not in (0, self.system_id):
+        if self.autopilot.hung or getattr(message, "target_system", 0) not in (0, self.system_id):
             return
         self.step(now_s)
         sender = Sender(message.get_srcSystem(), message.get_srcComponent())

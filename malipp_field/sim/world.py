@@ -5,7 +5,9 @@ from __future__ import annotations
 import functools
 import itertools
 import math
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 import numpy as np
 
@@ -39,13 +41,26 @@ class Outcome:
     value: float | None = None
 
 
-@dataclass
-class _Container:
-    """One container: on a robot, lying somewhere, or delivered."""
+@dataclass(frozen=True)
+class Container:
+    """One container as it really is.
 
+    Attributes
+    ----------
+    node, sampler
+        Where its sample was taken, and by which robot.
+    holder, place, delivered_to
+        On which robot it is, where it lies, or at which depot; all `None` when it is gone.
+    left_by
+        Who put it where it lies.
+    """
+
+    node: str
+    sampler: str
     holder: str | None = None
     place: Position | None = None
     delivered_to: str | None = None
+    left_by: str | None = None
 
 
 class World:
@@ -72,7 +87,8 @@ class World:
         # Straight connections of a `complete` site have factor 1, which is what lies off any edge as well.
         given = mission.model_copy(update={"site": mission.site.model_copy(update={"complete": False})})
         self._passages = {robot.id: passages(given, robot.id) for robot in mission.team.robots}
-        self._containers: dict[int, _Container] = {}
+        # By tag, or by a negative number while nobody has labelled it; the one moved last is the last.
+        self._containers: dict[int, Container] = {}
         self._done: dict[tuple[str, Action, int], tuple[Position, Outcome]] = {}
         self._reach_m = _reach_m(list(self.places.values()))
         # The conversion costs more than all else in telemetry; a rover that stands asks the same again.
@@ -102,8 +118,13 @@ class World:
         robot = self.mission.robot(robot_id)
         return robot.empty_mass_kg + self.mission.team.sample_mass_kg * len(self.on_board(robot_id))
 
+    @property
+    def containers(self) -> Mapping[int, Container]:
+        """All containers there have been, by tag; those without a label by a negative number."""
+        return MappingProxyType(self._containers)
+
     def on_board(self, robot_id: str) -> list[int]:
-        """Return the tags of the containers that robot carries."""
+        """Return the tags of the containers that robot carries, in the order in which they came."""
         return [tag for tag, container in self._containers.items() if container.holder == robot_id]
 
     def caches(self) -> dict[int, Position]:
@@ -116,14 +137,14 @@ class World:
 
     def remove(self, tag: int) -> None:
         """Take a lying container away, as a passer-by might."""
-        if self._containers[tag].place is not None:
-            self._containers[tag] = _Container()
+        self._containers[tag] = replace(self._containers[tag], place=None)
 
     def act(self, robot_id: str, action: Action, tag: int, place: Position) -> Outcome:
-        """Carry out a payload action at a place, or say why it cannot be.
+        """Carry out a payload action on the container of that tag, or say why it cannot be done.
 
-        What the robot did already at this place is confirmed again and not done twice: a vehicle may be told
-        to begin a step anew after a restart, a hold or a replan.
+        Where there is none with that label, the first without any is taken for it and labelled. What the
+        robot did already at this place is confirmed again and not done twice: a vehicle may be told to begin
+        a step anew after a restart, a hold or a replan.
         """
         outcome = self._try(self.mission.robot(robot_id), action, tag, place)
         key = (robot_id, action, tag)
@@ -133,47 +154,83 @@ class World:
             return self._done[key][1]
         return outcome
 
+    def work(self, robot_id: str, actions: Collection[Action], place: Position) -> Outcome:
+        """Have hardware that knows no tags do whichever of ``actions`` there is something to do for.
+
+        It takes what came first: on board, or among what others left. At a depot what is put down is
+        delivered; where a container lies and a sample could be taken, the container is. It cannot tell what
+        it did, so its outcome is for whoever looks at it.
+        """
+        robot = self.mission.robot(robot_id)
+        on_board, here = self.on_board(robot_id), self._lying(place)
+        left_by_others = [tag for tag in here if self._containers[tag].left_by != robot_id]
+        node = self._node_near(place, self._reach_m)
+        if Action.UNLOAD in actions and node in robot.depots and on_board:
+            return self._put_down(robot, Action.UNLOAD, on_board[0], place)
+        if Action.PICK in actions and left_by_others:
+            return self._pick(robot, left_by_others[0], left_by_others[0])
+        if Action.COLLECT in actions and node in self.true_values:
+            return replace(self._collect(robot, min([0, *self._containers]) - 1, place), value=None)
+        if Action.DROP in actions and on_board:
+            return self._put_down(robot, Action.DROP, on_board[0], place)
+        return Outcome("missing")
+
     def _try(self, robot: Robot, action: Action, tag: int, place: Position) -> Outcome:
-        if tag <= 0:
+        if tag <= 0 or action in (Action.DRIVE, Action.WAIT):
             return Outcome("unknown")
         if action is Action.COLLECT:
             return self._collect(robot, tag, place)
+        meant = self._meant(tag, self._lying(place) if action is Action.PICK else self.on_board(robot.id))
+        if meant is None:
+            return Outcome("missing")
         if action is Action.PICK:
-            return self._pick(robot, tag, place)
-        if action in (Action.DROP, Action.UNLOAD):
-            return self._put_down(robot, action, tag, place)
-        return Outcome("unknown")
+            return self._pick(robot, meant, tag)
+        return self._put_down(robot, action, meant, place, tag)
+
+    def _lying(self, place: Position) -> list[int]:
+        """Return what lies within reach, the first left first."""
+        return [tag for tag, lying in self.caches().items() if math.dist(lying, place) <= self._reach_m]
+
+    def _meant(self, tag: int, among: list[int]) -> int | None:
+        """Return which container is taken for the one of that tag."""
+        if tag in self._containers:
+            return tag if tag in among else None
+        return next((found for found in among if found < 0), None)
+
+    def _move(self, known: int, tag: int, *, holder: str | None = None, place: Position | None = None,
+              delivered_to: str | None = None, left_by: str | None = None) -> Outcome:  # fmt: skip
+        """Put a container somewhere else, and the label ``tag`` on it."""
+        self._containers[tag] = replace(
+            self._containers.pop(known), holder=holder, place=place, delivered_to=delivered_to,
+            left_by=left_by,
+        )  # fmt: skip
+        return Outcome("ok")
 
     def _collect(self, robot: Robot, tag: int, place: Position) -> Outcome:
         node = self._node_near(place, self._reach_m)
-        if node not in self.true_values or tag in self._containers:
+        if node is None or node not in self.true_values or tag in self._containers:
             return Outcome("unknown")
         if len(self.on_board(robot.id)) >= robot.payload_capacity:
             return Outcome("full")
-        self._containers[tag] = _Container(holder=robot.id)
-        noise = np.random.default_rng([self.mission.simulation.seed, tag]).normal()
+        self._containers[tag] = Container(node, robot.id, holder=robot.id)
+        noise = np.random.default_rng([self.mission.simulation.seed, abs(tag)]).normal()
         return Outcome("ok", self.true_values[node] + math.sqrt(robot.noise_variance) * noise)
 
-    def _pick(self, robot: Robot, tag: int, place: Position) -> Outcome:
-        lying = self.caches().get(tag)
-        if lying is None or math.dist(lying, place) > self._reach_m:
-            return Outcome("missing")
+    def _pick(self, robot: Robot, known: int, tag: int) -> Outcome:
         if len(self.on_board(robot.id)) >= robot.payload_capacity:
             return Outcome("full")
-        self._containers[tag] = _Container(holder=robot.id)
-        return Outcome("ok")
+        return self._move(known, tag, holder=robot.id)
 
-    def _put_down(self, robot: Robot, action: Action, tag: int, place: Position) -> Outcome:
-        if tag not in self.on_board(robot.id):
-            return Outcome("missing")
+    def _put_down(
+        self, robot: Robot, action: Action, known: int, place: Position, tag: int | None = None
+    ) -> Outcome:
+        label = known if tag is None else tag
         if action is Action.DROP:
-            self._containers[tag] = _Container(place=place)
-            return Outcome("ok")
+            return self._move(known, label, place=place, left_by=robot.id)
         depot = self._node_near(place, self._reach_m)
         if depot not in robot.depots:
             return Outcome("unknown")
-        self._containers[tag] = _Container(delivered_to=depot)
-        return Outcome("ok")
+        return self._move(known, label, delivered_to=depot)
 
     def _rates(self, robot: Robot, start: Position, end: Position) -> Rates:
         fitting = [(rank, p) for p in self._passages[robot.id] if (rank := self._rank(p, start, end))]

@@ -22,8 +22,14 @@ from itertools import pairwise
 
 from malipp_field.errors import PlanError
 from malipp_field.mission import ABSTRACT_ORIGIN, Mission, node_positions, to_globe
+from malipp_field.mission.vehicles import ByScript
 from malipp_field.plan import Plan, Stop
 from malipp_field.vehicle.steps import MAX_TAG, Action, GeoPoint, Sample, Step, VehicleMission
+
+DELAY_GATE_H = 23
+"""How far ahead a gate by NAV_DELAY may be: a time of day just past would be one of tomorrow."""
+SCRIPT_GATE_H = 11
+"""How far ahead a gate kept by the payload script may be: beyond half a day it takes the time as past."""
 
 Place = tuple[str, int]
 """A stop: robot and index in its route."""
@@ -80,7 +86,11 @@ class _Handled:
 
 
 def compile_plan(
-    mission: Mission, plan: Plan, custody: Custody | None = None, start_s: float | None = None
+    mission: Mission,
+    plan: Plan,
+    custody: Custody | None = None,
+    start_s: float | None = None,
+    now_s: float | None = None,
 ) -> Compiled:
     """Return the steps of every vehicle of a plan.
 
@@ -94,12 +104,15 @@ def compile_plan(
         Containers on board and in caches when the plan begins; by default none.
     start_s
         When mission time 0 is, in seconds since the Unix epoch. Without it no gate opens by time.
+    now_s
+        When the vehicles are told; ``start_s`` where not given.
 
     Raises
     ------
     PlanError
         When the plan has no routes, belongs to another mission, gives away containers that are not there,
-        waits in a circle, or needs more tags than there are.
+        waits in a circle, needs more tags than there are, or has a time gate that a vehicle would mistake
+        for one of another day.
     """
     _check_fits(mission, plan)
     custody = custody or Custody.none()
@@ -120,7 +133,7 @@ def compile_plan(
                     stop,
                     handled[robot.id, index],
                     points,
-                    _gate_s(mission, robot.id, stop, start_s),
+                    _gate_s(mission, robot.id, index, stop, start_s, now_s),
                 )
             ),
             payload=mission.vehicle(robot.id).payload,
@@ -175,16 +188,27 @@ def _new_samples(mission: Mission, plan: Plan, custody: Custody) -> dict[Place, 
     }
 
 
-def _gate_s(mission: Mission, robot: str, stop: Stop, start_s: float | None) -> float | None:
+def _gate_s(
+    mission: Mission, robot: str, index: int, stop: Stop, start_s: float | None, now_s: float | None
+) -> float | None:
     """Return when a gate at a stop opens by itself: the planned service window there, and a margin.
 
     The window of a plan begins no earlier than the sender's departure and the clearance
     (`eq:deaddrop_sync`).
     """
     vehicle = mission.vehicle(robot)
-    if start_s is None or vehicle.gate != "time":
+    if start_s is None or vehicle.gate != "time" or not stop.pick:
         return None
-    return start_s + stop.depart_s - mission.team.service_time_s + vehicle.gate_margin_s
+    gate_s = start_s + stop.depart_s - mission.team.service_time_s + vehicle.gate_margin_s
+    scripted = isinstance(vehicle.payload.pick, ByScript)
+    most_h = SCRIPT_GATE_H if scripted else DELAY_GATE_H
+    ahead_h = (gate_s - (start_s if now_s is None else now_s)) / 3600.0
+    if ahead_h > most_h:
+        raise PlanError(
+            f"{robot}, stop {index} at '{stop.node}': its time gate opens {ahead_h:.1f} h ahead; the time of "
+            f"day tells at most {most_h} h: say gate: custody, or a smaller gate_margin_s"
+        )
+    return gate_s
 
 
 def _follow_containers(
@@ -227,8 +251,9 @@ class _Containers:
             here.pick += [(tag, sender) for tag in found]
             if robot in self._lenient:
                 self._doubtful.update(found)
-        strict_picks = {tag for tag, _ in here.pick} if robot not in self._lenient else set()
-        here.doubtful = frozenset(self._doubtful - strict_picks)
+            else:  # it does not go on before it has them
+                self._doubtful.difference_update(found)
+        here.doubtful = frozenset(self._doubtful)
         return here
 
     def _pick(self, place: Place, stop: Stop, sender: str, count: int) -> list[int]:

@@ -22,6 +22,9 @@ MAV_CMD_NAV_SCRIPT_TIME = 42702
 WITH_PLACE = frozenset({MAV_CMD_NAV_WAYPOINT, MAV_CMD_NAV_LOITER_UNLIM})
 """Commands of ours whose x and y are degrees; the others travel in the frame without a place."""
 
+IN_PASSING = frozenset({MAV_CMD_DO_SET_RELAY, MAV_CMD_DO_SET_SERVO, MAV_CMD_DO_GRIPPER})
+"""Commands of ours that a vehicle does on its way to the next item: it never reports to be at one."""
+
 
 class MissionItem(NamedTuple):
     """One item of the MAVLink mission protocol, in the fields of MISSION_ITEM_INT.

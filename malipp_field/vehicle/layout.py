@@ -1,8 +1,9 @@
 """Steps as the MAVLink items that a vehicle with its payload hardware carries out.
 
-Item 0 is home. A drive is one waypoint. An action by the payload script is one NAV_SCRIPT_TIME; by a servo,
-relay or gripper it is a DO command and a NAV_DELAY that gives it time (DO commands end at once); by a person
-it is a NAV_LOITER_UNLIM, which ends when the ground makes the next item current.
+Item 0 is home, and item 1 never a DO command. A drive is one waypoint. An action by the payload script is one
+NAV_SCRIPT_TIME; by a servo, relay or gripper it is a DO command and a NAV_DELAY that gives it time (DO
+commands end at once); by a person it is a NAV_LOITER_UNLIM, which ends when the ground makes the next item
+current.
 
 A gate at which the vehicle only waits for the ground is NAV_SCRIPT_TIME or NAV_LOITER_UNLIM, after what picks
 there. One that may also open by time is NAV_DELAY to a time of day (UTC) where there is no script; the script
@@ -17,6 +18,7 @@ from typing import NamedTuple
 
 from malipp_field.mission.vehicles import Actuator, ByGripper, ByHand, ByRelay, ByScript, ByServo, Means
 from malipp_field.vehicle.items import (
+    IN_PASSING,
     MAV_CMD_DO_GRIPPER,
     MAV_CMD_DO_SET_RELAY,
     MAV_CMD_DO_SET_SERVO,
@@ -30,7 +32,7 @@ from malipp_field.vehicle.items import (
     item_at,
     item_without_place,
 )
-from malipp_field.vehicle.steps import Action, GeoPoint, Step, VehicleMission
+from malipp_field.vehicle.steps import Action, GeoPoint, Step, VehicleMission, Witness
 
 ACTION_CODES = {Action.WAIT: 1, Action.COLLECT: 2, Action.DROP: 3, Action.PICK: 4, Action.UNLOAD: 5}
 """``command`` (param 1) of NAV_SCRIPT_TIME, as the payload script on the vehicle knows it."""
@@ -66,12 +68,21 @@ class Layout(NamedTuple):
         """Return the sequence number of a step's last item."""
         return len(self.steps) - 1 - self.steps[::-1].index(step)
 
+    def shown_at(self, item: int) -> int:
+        """Return which item MISSION_CURRENT shows when ``item`` has been made current."""
+        return next(i.seq for i in self.items[item:] if i.command not in IN_PASSING)
+
 
 def lay_out(vehicle: VehicleMission) -> Layout:
     """Return the MAVLink mission of a vehicle."""
     items, steps = [_home_item(vehicle.home)], [-1]
     for index, step in enumerate(vehicle.steps):
         for item in _items(vehicle, step):
+            if len(items) == 1 and item.command in IN_PASSING:
+                # AUTO is entered once before the vehicle is armed and the first item made current: what is
+                # done in passing would be done twice.
+                items.append(_waypoint(step)._replace(seq=1))
+                steps.append(index)
             items.append(item._replace(seq=len(items)))
             steps.append(index)
     return Layout(items, steps)
@@ -91,6 +102,14 @@ def held_for_operator(means: Means | None) -> bool:
     return isinstance(means, ByHand) or getattr(means, "confirm", "progress") == "operator"
 
 
+def confirmed_by(vehicle: VehicleMission, step: Step) -> Witness | None:
+    """Return who confirms a payload step on that vehicle; `None` for a drive or a gate."""
+    means = means_of(vehicle, step)
+    if means is None or isinstance(means, ByScript):
+        return None if means is None else "script"
+    return "person" if held_for_operator(means) else "progress"
+
+
 def gate_code(not_before_s: float) -> int:
     """Return the time of a gate (seconds since the Unix epoch) for the payload script, rounded up."""
     return 1 + math.ceil(not_before_s % DAY_S / GATE_UNIT_S) % (DAY_S // GATE_UNIT_S)
@@ -107,7 +126,7 @@ def _items(vehicle: VehicleMission, step: Step) -> Iterator[MissionItem]:
     """Yield the items of a step, not numbered yet."""
     means = means_of(vehicle, step)
     if step.action is Action.DRIVE:
-        yield item_at(0, MAV_CMD_NAV_WAYPOINT, step.place.lat_deg, step.place.lon_deg)
+        yield _waypoint(step)
     elif step.action is Action.WAIT:
         yield _gate(step, by_script=isinstance(vehicle.payload.pick, ByScript))
     elif isinstance(means, ByScript):
@@ -117,6 +136,10 @@ def _items(vehicle: VehicleMission, step: Step) -> Iterator[MissionItem]:
             yield from _actuated(means)
         if held_for_operator(means):
             yield _hold(step)
+
+
+def _waypoint(step: Step) -> MissionItem:
+    return item_at(0, MAV_CMD_NAV_WAYPOINT, step.place.lat_deg, step.place.lon_deg)
 
 
 def _gate(step: Step, *, by_script: bool) -> MissionItem:

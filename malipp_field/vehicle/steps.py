@@ -8,7 +8,7 @@ new one.
 from __future__ import annotations
 
 from enum import StrEnum
-from typing import Annotated, Literal
+from typing import Annotated, Literal, TypeAlias
 
 from pydantic import Field
 
@@ -28,6 +28,10 @@ class Action(StrEnum):
     DROP = "drop"
     PICK = "pick"
     UNLOAD = "unload"
+
+
+Witness: TypeAlias = Literal["script", "progress", "person"]
+"""Who says that a payload action is done: the script, a person, or that the vehicle has gone past it."""
 
 
 class GeoPoint(StrictModel):

@@ -7,6 +7,7 @@ from control_cases import confirm
 from hypothesis import given
 from hypothesis import strategies as st
 
+from malipp_field.bus import Confirmation
 from malipp_field.control.ledger import CustodyLedger
 from malipp_field.vehicle.steps import Action, Sample
 
@@ -118,3 +119,59 @@ def test_no_sequence_of_confirmations_breaks_conservation(
         delivered = sum(e.action is Action.UNLOAD for e in record.history)
         assert taken == (0 if record.state == "planned" else 1)
         assert delivered == (1 if record.state == "delivered" else 0)
+
+
+def missed(robot: str, action: Action, tag: int, node: str) -> Confirmation:
+    return confirm(robot, action, tag, node).model_copy(update={"ok": False, "goes_on": True})
+
+
+def test_what_was_not_there_is_missing_where_it_was_known_last_and_may_turn_up() -> None:
+    ledger = ledger_of(1, 2)
+    for tag in (1, 2):
+        ledger.confirm(confirm("scout", Action.COLLECT, tag, "far"))
+    ledger.confirm(confirm("scout", Action.DROP, 1, "hub"))
+    ledger.miss(missed("carrier", Action.PICK, 1, "hub"))
+    ledger.miss(missed("scout", Action.DROP, 2, "hub"))
+    assert {t: (r.state, r.holder) for t, r in ledger.records.items()} == {
+        1: ("lost", "hub"), 2: ("lost", "scout"),
+    }  # fmt: skip
+    assert (ledger.caches(), ledger.on_board("scout"), ledger.gone([1, 2, 3])) == ({}, (), [1, 2])
+    assert not ledger.all_home
+    assert ledger.confirm(confirm("carrier", Action.PICK, 1, "far")) is not None
+    assert ledger.confirm(confirm("carrier", Action.PICK, 1, "hub")) is None
+    assert ledger.on_board("carrier") == (1,)
+
+
+def test_a_receiver_that_came_too_early_loses_nothing() -> None:
+    ledger = ledger_of(1)
+    ledger.confirm(confirm("scout", Action.COLLECT, 1, "far"))
+    ledger.miss(missed("carrier", Action.PICK, 1, "hub"))
+    assert ledger.on_board("scout") == (1,)
+    ledger.miss(missed("carrier", Action.UNLOAD, 1, "base"))
+    ledger.miss(missed("carrier", Action.PICK, 9, "hub"))
+    assert ledger.on_board("scout") == (1,)
+
+
+def test_what_could_not_be_taken_is_withdrawn_and_named() -> None:
+    ledger = ledger_of(1, 2)
+    ledger.miss(missed("scout", Action.COLLECT, 1, "far"))
+    assert (ledger.records[1].state, ledger.given_up, ledger.gone([1, 2])) == ("withdrawn", [1], [1])
+    ledger.confirm(confirm("scout", Action.COLLECT, 1, "far"))
+    assert ledger.given_up == []
+
+
+def test_a_pick_heard_of_before_its_drop_counts_when_the_drop_is_known() -> None:
+    """The receiver kept its gate by time while nobody heard the sender."""
+    ledger = ledger_of(1)
+    ledger.confirm(confirm("scout", Action.COLLECT, 1, "far"))
+    assert ledger.confirm(confirm("carrier", Action.PICK, 1, "hub")) is not None
+    assert ledger.confirm(confirm("carrier", Action.UNLOAD, 1, "base")) is not None
+    assert (ledger.unsettled, ledger.on_board("scout")) == ({1}, (1,))
+    assert ledger.confirm(confirm("scout", Action.DROP, 1, "hub")) is None
+    assert (ledger.records[1].state, ledger.records[1].holder, ledger.unsettled) == (
+        "delivered",
+        "base",
+        set(),
+    )
+    assert len(ledger.records[1].history) == 4
+    assert ledger.all_home

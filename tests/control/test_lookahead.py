@@ -14,6 +14,7 @@ from malipp_field.control.remainder import remainder
 from malipp_field.control.revision import revise, same_work
 from malipp_field.control.tracks import Measured, Track
 from malipp_field.mission import Mission, parse_mission
+from malipp_field.mission.vehicles import VehicleSettings
 from malipp_field.plan import Plan, RobotPlan
 from malipp_field.vehicle.steps import Action, VehicleMission
 
@@ -112,7 +113,8 @@ def test_later_legs_of_the_committed_part_cost_what_was_found_on_them() -> None:
     assert state.energy_left_j == pytest.approx(10000.0 - 10 * 10.0 - 3 * 50 * 10.0)
 
 
-def test_a_container_in_a_cache_is_in_the_new_mission_under_its_own_tag() -> None:
+def left_for_the_carrier() -> tuple[Plan, Outlook, CustodyLedger, dict[str, VehicleMission]]:
+    """The scout has dropped container 1 and is called home by a new plan, version 2."""
     mission = relay_mission()
     missions, ledger = compiled(drop_plan())
     for action, tag in ((Action.COLLECT, 1), (Action.COLLECT, 2), (Action.DROP, 1)):
@@ -128,8 +130,12 @@ def test_a_container_in_a_cache_is_in_the_new_mission_under_its_own_tag() -> Non
         rest.robot("scout").model_copy(update={"route": rest.robot("scout").route[:1]}),
         rest.robot("carrier").model_copy(update={"route": (rest.robot("carrier").route[0], there, home)}),
     )
-    plan = rest.model_copy(update={"version": 2, "robots": routes})
-    revision = revise(mission, plan, outlook, ledger, missions)
+    return rest.model_copy(update={"version": 2, "robots": routes}), outlook, ledger, missions
+
+
+def test_a_container_in_a_cache_is_in_the_new_mission_under_its_own_tag() -> None:
+    plan, outlook, ledger, missions = left_for_the_carrier()
+    revision = revise(relay_mission(), plan, outlook, ledger, missions)
     assert set(revision.missions) == {"scout"}, "the carrier's part is what it was"
     assert [(s.action, s.tags) for s in revision.compiled["carrier"].steps if s.tags][:2] == [
         (Action.WAIT, (1,)),
@@ -140,6 +146,32 @@ def test_a_container_in_a_cache_is_in_the_new_mission_under_its_own_tag() -> Non
         ("cached", "far"),
         ("on_board", "scout"),
     ]
+
+
+def test_new_missions_keep_the_hardware_and_gates_are_told_their_new_times() -> None:
+    plan, outlook, ledger, missions = left_for_the_carrier()
+    vehicles = {
+        "scout": VehicleSettings.model_validate({"payload": "manual"}),
+        "carrier": VehicleSettings.model_validate({"payload": "manual", "gate": "time"}),
+    }
+    mission = relay_mission().model_copy(update={"vehicles": vehicles})
+    gate_s = 1000.0 + 135.0 - 10.0 + 30.0
+
+    def told(not_before_s: float) -> dict[str, VehicleMission]:
+        carrier = missions["carrier"]
+        steps = tuple(
+            step.model_copy(update={"not_before_s": not_before_s if step.action is Action.WAIT else None})
+            for step in carrier.steps
+        )
+        return {**missions, "carrier": carrier.model_copy(update={"steps": steps})}
+
+    kept = revise(mission, plan, outlook, ledger, told(gate_s), start_s=1000.0)
+    assert set(kept.missions) == {"scout"}
+    assert kept.missions["scout"].payload == mission.vehicle("scout").payload
+    later = revise(mission, plan, outlook, ledger, told(gate_s - 60.0), start_s=1000.0)
+    assert set(later.missions) == {"scout", "carrier"}
+    (gate,) = (step for step in later.missions["carrier"].steps if step.action is Action.WAIT)
+    assert gate.not_before_s == gate_s
 
 
 def test_replan_after_replan_a_tag_is_kept_or_withdrawn_and_never_given_twice() -> None:

@@ -206,8 +206,11 @@ def test_a_gate_with_two_senders_opens_when_both_have_gone_and_the_clearance_is_
     ledger = CustodyLedger()
     ledger.expect([Sample(tag=1, node="far", sampler="scout"), Sample(tag=2, node="far", sampler="carrier")])
 
-    def free(now_s: float, robot: str = "third") -> bool:
-        return may_pass(robot, (1, 2), ledger, tracks, now_s, CLEARANCE_S)
+    gate = first(compiled(drop_plan())[0]["carrier"], Action.WAIT).model_copy(update={"tags": (1, 2)})
+
+    def free(now_s: float, robot: str = "third", node: str = "far") -> bool:
+        at = gate.model_copy(update={"node": node})
+        return may_pass(robot, at, ledger, tracks, now_s, CLEARANCE_S)
 
     taking = first(missions["scout"], Action.COLLECT, 2)
     leaving = next(s for s in missions["scout"].steps[4:] if s.action is Action.DRIVE)
@@ -222,6 +225,7 @@ def test_a_gate_with_two_senders_opens_when_both_have_gone_and_the_clearance_is_
     tracks["scout"].update(telemetry("scout", leaving.uid, 140.0, 200.0, 0.0), roads, 0)
     assert not free(140.0 + CLEARANCE_S - 0.1)
     assert free(140.0 + CLEARANCE_S)
+    assert not free(1000.0, node="hub"), "they lie elsewhere, for somebody else to bring them here first"
     # What the receiver has on board already is no reason to wait; what a third has taken is.
     ledger.confirm(confirm("third", Action.PICK, 1, "far", time_s=150.0))
     assert free(150.0)

@@ -17,7 +17,7 @@ from malipp_field.bus.messages import (
     Hold,
     Load,
     Message,
-    Release,
+    Order,
     Reply,
     Start,
     Telemetry,
@@ -155,7 +155,7 @@ class Yard:
             if message.get_msgId() not in self._skip:
                 self._on_message(message)
 
-    async def order(self, order: Load | Start | Release | Hold, limit_s: float = 600.0) -> Reply:
+    async def order(self, order: Order, limit_s: float = 600.0) -> Reply:
         """Give an order and live until it is answered, and telemetry shows it."""
         task = self.begin(order)
         end_s = self.clock.now_s() + limit_s
@@ -165,7 +165,7 @@ class Yard:
         await self.live(0.5)
         return task.result()
 
-    def begin(self, order: Load | Start | Release | Hold) -> asyncio.Future[Reply]:
+    def begin(self, order: Order) -> asyncio.Future[Reply]:
         assert self.bus.handler is not None
         return asyncio.ensure_future(self.bus.handler(Command(time_s=self.clock.now_s(), order=order)))
 

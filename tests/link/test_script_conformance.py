@@ -70,7 +70,7 @@ ASKS = st.lists(
         st.sampled_from([Action.COLLECT, Action.DROP, Action.PICK, Action.UNLOAD]),
         st.integers(0, 7),
         st.sampled_from(["a", "a", "base"]),
-        st.just(False),
+        st.booleans(),
         st.sampled_from([0.0, 0.4, 1.0]),
     ),
     min_size=1,
