@@ -1,13 +1,15 @@
 """Exported missions, driven to their end by whatever ground station uploads and starts them.
 
 A client is a ground station with one vehicle. What joins them here does what a person would do: it lets a
-vehicle pass its gate when the drops are heard to be done. Clients keep wall time, so the simulated world does
-too until all vehicles drive; the drives themselves are run through quickly.
+vehicle pass its gate when the drops are heard to be done, and does and judges what is left to a person.
+Clients keep wall time, so the simulated world does too until all vehicles drive; the drives themselves are
+run through quickly.
 """
 
 from __future__ import annotations
 
 import asyncio
+from abc import ABC, abstractmethod
 from collections.abc import AsyncIterator, Callable, Coroutine
 from contextlib import AbstractAsyncContextManager, AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass
@@ -24,7 +26,8 @@ from malipp_field.sim import Fleet, RoverConfig
 from malipp_field.sim.mission_run import RunState
 from malipp_field.vehicle.compile import compile_plan
 from malipp_field.vehicle.export import ExportFormat, export
-from malipp_field.vehicle.layout import lay_out
+from malipp_field.vehicle.layout import confirmed_by, lay_out
+from malipp_field.vehicle.payload_protocol import parse_confirmation
 from malipp_field.vehicle.steps import Action, Step, VehicleMission
 
 ROOT = Path(__file__).parents[2]
@@ -38,6 +41,20 @@ DRIVING = {Action.DRIVE, Action.WAIT}
 KEEP_OUT = """  keep_outs:
     - {id: pond, polygon: [{x_m: 70.0, y_m: 30.0}, {x_m: 90.0, y_m: 30.0}, {x_m: 80.0, y_m: 45.0}]}
 """
+
+HARDWARE = """
+vehicles:
+  scout:
+    payload:
+      collect: {by: servo, channel: 9, pwm_us: 1900, rest_us: 1100, duration_s: 5.0}
+      drop: {by: gripper, move: release, duration_s: 3.0}
+  carrier:
+    payload:
+      collect: {by: relay, relay: 0, duration_s: 4.0, confirm: operator}
+      pick: {by: gripper, move: grab, duration_s: 3.0}
+      unload: {by: manual}
+"""
+"""No script on board of either: what is done is confirmed by progress, or by a person."""
 
 Done = set[tuple[Action, int]]
 """Payload actions, with the tag of the container."""
@@ -62,7 +79,7 @@ class Client(Protocol):
     """A ground station with one vehicle."""
 
     def confirmed(self) -> Done:
-        """Return the payload actions that the vehicle was heard to have done."""
+        """Return the payload actions that are known to be done."""
         ...
 
     async def upload(self) -> None:
@@ -76,6 +93,44 @@ class Client(Protocol):
     async def release(self, gate: Step, item: int) -> bool:
         """Let the vehicle pass a gate, by making ``item`` current; return whether that was possible."""
         ...
+
+    async def judge(self, step: Step, item: int | None) -> bool:
+        """Take a person's word that a step is done, and make ``item`` current, where there is a next one.
+
+        Return whether that was possible.
+        """
+        ...
+
+
+class Operated(ABC):
+    """A ground station that knows nothing of payloads, and a person who reads what it shows."""
+
+    def __init__(self, vehicle: VehicleMission) -> None:
+        self._vehicle = vehicle
+        self._done: Done = set()
+
+    def confirmed(self) -> Done:
+        return set(self._done)
+
+    def shows_text(self, text: str) -> None:
+        """Take in a STATUSTEXT: the payload script confirms what it has done."""
+        report = parse_confirmation(text)
+        if report is not None and report.ok:
+            self._done.add((report.action, report.tag))
+
+    def shows_item(self, item: int) -> None:
+        """Take in which item is current: hardware that cannot speak has done what the vehicle is past."""
+        layout = lay_out(self._vehicle)
+        for index, step in enumerate(self._vehicle.steps):
+            if layout.last_item(index) < item and confirmed_by(self._vehicle, step) == "progress":
+                self._done.add((step.action, step.tags[0]))
+
+    async def judge(self, step: Step, item: int | None) -> bool:
+        self._done.add((step.action, step.tags[0]))
+        return item is None or await self.release(step, item)
+
+    @abstractmethod
+    async def release(self, gate: Step, item: int) -> bool: ...
 
 
 OpenClient = Callable[[Assignment], AbstractAsyncContextManager[Client]]
@@ -124,7 +179,10 @@ async def _flight(open_client: OpenClient, kind: ExportFormat, folder: Path, ext
                 assert differences(lay_out(missions[robot]).items, on_board) == []
             for client in clients.values():
                 await client.start()
-        await _see_through(fleet, missions, clients, clock)
+        hands = _Hands(fleet, missions, clients)
+        while not hands.all_done():
+            await hands.lend()
+            await clock.sleep(LOOK_S)
         return Flight(
             fleet,
             wanted={robot: payload_actions(vehicle) for robot, vehicle in missions.items()},
@@ -136,31 +194,48 @@ def payload_actions(vehicle: VehicleMission) -> Done:
     return {(s.action, tag) for s in vehicle.steps if s.action not in DRIVING for tag in s.tags}
 
 
-async def _see_through(
-    fleet: Fleet, missions: dict[str, VehicleMission], clients: dict[str, Client], clock: SimClock
-) -> None:
-    """Open gates until every mission is complete and its last confirmation is heard."""
-    passed: set[str] = set()
-    wanted = {robot: payload_actions(vehicle) for robot, vehicle in missions.items()}
-    while True:
-        heard = {robot: client.confirmed() for robot, client in clients.items()}
-        complete = all(rover.autopilot.run.state is RunState.COMPLETE for rover in fleet.rovers.values())
-        if complete and all(wanted[robot] <= heard[robot] for robot in clients):
-            return
-        dropped = {tag for done in heard.values() for action, tag in done if action is Action.DROP}
-        for robot, client in clients.items():
-            item = fleet.rovers[robot].autopilot.run.seq
-            gate = _step(missions[robot], item)
-            if gate is None or gate.action is not Action.WAIT or gate.uid in passed:
+class _Hands:
+    """What people do on the way: they open gates, and do and judge what is theirs to do."""
+
+    def __init__(self, fleet: Fleet, missions: dict[str, VehicleMission], clients: dict[str, Client]) -> None:
+        self._fleet, self._missions, self._clients = fleet, missions, clients
+        self._passed: set[str] = set()
+
+    def all_done(self) -> bool:
+        """Return whether every vehicle is at the end of its mission, and all of it is confirmed."""
+        return all(
+            self._at_end(robot) and payload_actions(vehicle) <= self._clients[robot].confirmed()
+            for robot, vehicle in self._missions.items()
+        )
+
+    def _at_end(self, robot: str) -> bool:
+        """A mission that ends with a person's work is never complete: the vehicle goes on holding."""
+        complete = self._fleet.rovers[robot].autopilot.run.state is RunState.COMPLETE
+        return complete or self._missions[robot].steps[-1].uid in self._passed
+
+    async def lend(self) -> None:
+        """Do once what can be done now."""
+        for robot, vehicle in self._missions.items():
+            layout, item = lay_out(vehicle), self._fleet.rovers[robot].autopilot.run.seq
+            index = layout.steps[item]
+            step = vehicle.steps[index]
+            if index < 0 or item < layout.last_item(index) or step.uid in self._passed:
                 continue
-            if dropped.issuperset(gate.tags) and await client.release(gate, item + 1):
-                passed.add(gate.uid)
-        await clock.sleep(LOOK_S)
+            following = item + 1 if item + 1 < len(layout.items) else None
+            if await self._pass(robot, step, following):
+                self._passed.add(step.uid)
 
-
-def _step(vehicle: VehicleMission, item: int) -> Step | None:
-    index = lay_out(vehicle).steps[item]
-    return vehicle.steps[index] if index >= 0 else None
+    async def _pass(self, robot: str, step: Step, item: int | None) -> bool:
+        client, pilot = self._clients[robot], self._fleet.rovers[robot].autopilot
+        if step.action is Action.WAIT:
+            assert item is not None, "a gate is followed by what it is for"
+            confirmed = set().union(*(each.confirmed() for each in self._clients.values()))
+            dropped = {tag for action, tag in confirmed if action is Action.DROP}
+            return dropped.issuperset(step.tags) and await client.release(step, item)
+        if confirmed_by(self._missions[robot], step) == "person" and pilot.speed_m_s == 0.0:
+            assert pilot.attended(step.action, step.tags[0]).result == "ok"
+            return await client.judge(step, item)
+        return False
 
 
 @asynccontextmanager
@@ -178,9 +253,7 @@ def assert_flown(flight: Flight) -> None:
     """Every action of every mission is done in the world, and was confirmed; every sample is home."""
     for robot, wanted in flight.wanted.items():
         assert flight.confirmed[robot] == wanted
-        autopilot = flight.fleet.rovers[robot].autopilot
-        assert autopilot.run.state is RunState.COMPLETE
-        assert not autopilot.stranded
+        assert not flight.fleet.rovers[robot].autopilot.stranded
     picked = {tag for done in flight.wanted.values() for action, tag in done if action is Action.PICK}
     unloaded = {tag for done in flight.wanted.values() for action, tag in done if action is Action.UNLOAD}
     assert len(picked) == 4

@@ -12,36 +12,33 @@ from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager, suppress
 
 import pytest
-from flight_cases import Assignment, Done
+from flight_cases import Assignment, Operated
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from pymavlink.mavwp import MAVWPLoader
 
 from malipp_field.link.compare import differences
 from malipp_field.vehicle.items import WITH_PLACE, MissionItem, degrees_e7
 from malipp_field.vehicle.layout import lay_out
-from malipp_field.vehicle.payload_protocol import parse_confirmation
 from malipp_field.vehicle.steps import Step
 
 _SAID_BY_VEHICLE = re.compile(r"AP: (.*)")
+_CURRENT_ITEM = re.compile(r"\bwaypoint (\d+)$")
 
 
-class MavProxy:
+class MavProxy(Operated):
     """MAVProxy with one vehicle: what it prints, and what is typed."""
 
     def __init__(self, told: Assignment, process: asyncio.subprocess.Process) -> None:
+        super().__init__(told.vehicle)
         self._told = told
         self._process = process
         self._news = asyncio.Event()
-        self._confirmed: Done = set()
         self.lines: list[str] = []
 
     @property
     def group(self) -> int:
         """The process group of MAVProxy and of what it starts."""
         return self._process.pid
-
-    def confirmed(self) -> Done:
-        return set(self._confirmed)
 
     async def upload(self) -> None:
         await self.heard("online system")
@@ -81,10 +78,10 @@ class MavProxy:
         async for data in self._process.stdout:
             line = data.decode(errors="replace").rstrip()
             self.lines.append(line)
-            said = _SAID_BY_VEHICLE.search(line)
-            report = parse_confirmation(said[1]) if said else None
-            if report is not None and report.ok:
-                self._confirmed.add((report.action, report.tag))
+            if (said := _SAID_BY_VEHICLE.search(line)) is not None:
+                self.shows_text(said[1])
+            elif (current := _CURRENT_ITEM.search(line)) is not None:
+                self.shows_item(int(current[1]))
             self._news.set()
         self._news.set()
 

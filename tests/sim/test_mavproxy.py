@@ -7,15 +7,16 @@ import os
 from pathlib import Path
 
 import pytest
-from flight_cases import START_S, Assignment, assert_flown, corridor, fly
+from flight_cases import HARDWARE, START_S, Assignment, assert_flown, corridor, fly
 from mavproxy_client import mavproxy
 
 from malipp_field.clock import SimClock
 from malipp_field.vehicle.compile import compile_plan
 
 
-def test_mavproxy_uploads_the_exported_missions_and_sees_them_through(tmp_path: Path) -> None:
-    assert_flown(fly(mavproxy, "wpl", tmp_path))
+@pytest.mark.parametrize("hardware", ["", HARDWARE], ids=["by script", "by hardware and hand"])
+def test_mavproxy_uploads_the_exported_missions_and_sees_them_through(tmp_path: Path, hardware: str) -> None:
+    assert_flown(fly(mavproxy, "wpl", tmp_path, hardware))
 
 
 def test_nothing_of_mavproxy_is_left_after_a_failure(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from flight_cases import Assignment, Done, assert_flown, beside, fly
+from flight_cases import HARDWARE, Assignment, Operated, assert_flown, beside, fly
 from mavsdk.asyncio import ComponentType, Configuration, Mavsdk, System
 from mavsdk.asyncio.plugins.action import ActionAsync
 from mavsdk.asyncio.plugins.mission_raw import MissionRawAsync, MissionRawError
@@ -30,7 +30,6 @@ from malipp_field.sim import Fleet, RoverConfig
 from malipp_field.sim.mission_store import Sender
 from malipp_field.vehicle.items import MissionItem
 from malipp_field.vehicle.layout import lay_out
-from malipp_field.vehicle.payload_protocol import parse_confirmation
 from malipp_field.vehicle.steps import Action, Step
 
 FOUND_WITHIN_S = 15.0
@@ -151,17 +150,14 @@ def test_mavsdk_starts_the_mission_and_follows_it() -> None:
     run(scenario)
 
 
-class Station:
+class Station(Operated):
     """MAVSDK with one vehicle and its exported `.plan`."""
 
     def __init__(self, told: Assignment, system: System) -> None:
+        super().__init__(told.vehicle)
         self._told = told
         self.raw, self.action = MissionRawAsync(system), ActionAsync(system)
         self.telemetry = TelemetryAsync(system)
-        self._confirmed: Done = set()
-
-    def confirmed(self) -> Done:
-        return set(self._confirmed)
 
     async def upload(self) -> None:
         imported = await self.raw.import_qgroundcontrol_mission(str(self._told.file(".plan")))
@@ -187,9 +183,11 @@ class Station:
 
     async def listen(self) -> None:
         async for said in self.telemetry.subscribe_status_text():
-            report = parse_confirmation(said.text)
-            if report is not None and report.ok:
-                self._confirmed.add((report.action, report.tag))
+            self.shows_text(said.text)
+
+    async def follow(self) -> None:
+        async for progress in self.raw.subscribe_mission_progress():
+            self.shows_item(progress.current)
 
     def destroy(self) -> None:
         for plugin in (self.raw, self.action, self.telemetry):
@@ -205,7 +203,7 @@ async def station(told: Assignment) -> AsyncIterator[Station]:
         assert system is not None
         client = Station(told, system)
         try:
-            async with beside(client.listen()):
+            async with beside(client.listen()), beside(client.follow()):
                 yield client
         finally:
             client.destroy()
@@ -215,5 +213,6 @@ def as_item(raw: Any) -> MissionItem:
     return MissionItem(*(getattr(raw, name) for name in MissionItem._fields))
 
 
-def test_mavsdk_uploads_the_exported_plans_and_sees_them_through(tmp_path: Path) -> None:
-    assert_flown(fly(station, "plan", tmp_path))
+@pytest.mark.parametrize("hardware", ["", HARDWARE], ids=["by script", "by hardware and hand"])
+def test_mavsdk_uploads_the_exported_plans_and_sees_them_through(tmp_path: Path, hardware: str) -> None:
+    assert_flown(fly(station, "plan", tmp_path, hardware))

@@ -8,9 +8,20 @@ from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
 
-from flight_cases import Assignment, Done, assert_flown, beside, fly
+import pytest
+from flight_cases import HARDWARE, Assignment, Done, assert_flown, beside, fly
 
-from malipp_field.bus.messages import Command, Confirmation, Load, Message, Release, Reply, Start
+from malipp_field.bus.messages import (
+    Command,
+    Confirm,
+    Confirmation,
+    Load,
+    Message,
+    Order,
+    Release,
+    Reply,
+    Start,
+)
 from malipp_field.link import Agent, Links, VehicleLink
 from malipp_field.mission.link_url import LinkUrl
 from malipp_field.vehicle.steps import Step
@@ -47,7 +58,10 @@ class Station:
         """It is the agent's to say whether the vehicle is known to be there already."""
         return (await self._order(Release(uid=gate.uid))).ok
 
-    async def _order(self, order: Load | Start | Release) -> Reply:
+    async def judge(self, step: Step, item: int | None) -> bool:
+        return (await self._order(Confirm(uid=step.uid))).ok
+
+    async def _order(self, order: Order) -> Reply:
         handler = await self._handler
         return await handler(Command(time_s=self._told.clock.now_s(), order=order))
 
@@ -62,5 +76,6 @@ async def station(told: Assignment) -> AsyncIterator[Station]:
             yield client
 
 
-def test_our_link_uploads_the_compiled_missions_and_sees_them_through(tmp_path: Path) -> None:
-    assert_flown(fly(station, "plan", tmp_path))
+@pytest.mark.parametrize("hardware", ["", HARDWARE], ids=["by script", "by hardware and hand"])
+def test_our_link_uploads_the_compiled_missions_and_sees_them_through(tmp_path: Path, hardware: str) -> None:
+    assert_flown(fly(station, "plan", tmp_path, hardware))
