@@ -48,7 +48,7 @@ class VehicleLink:
     own
         As whom to speak: system and component id.
     shared
-        Whether other vehicles of ours are on the same link, and hear heartbeats that are not theirs.
+        Whether this vehicle may hear, and believe, heartbeats of ours that are for another on the same link.
     """
 
     url: LinkUrl
@@ -83,8 +83,10 @@ def vehicle_link(mission: Mission, robot: str, folder: Path, keys: KeyRing) -> V
     assert settings.system_id is not None
     url, ground = parse_link_url(settings.link), mission.ground_station
     own = (ground.system_id, ground.component_id)
-    others = (mission.vehicle(other.id).link for other in mission.team.robots if other.id != robot)
-    shared = any(other is not None and parse_link_url(other) == url for other in others)
+    others = [mission.vehicle(other.id) for other in mission.team.robots if other.id != robot]
+    together = [other for other in others if other.link is not None and parse_link_url(other.link) == url]
+    # A vehicle without a key believes what is signed for another, too.
+    shared = any(settings.signing_key in (None, other.signing_key) for other in together)
     return VehicleLink(url, settings.system_id, settings.component_id, key, own, shared)
 
 

@@ -20,7 +20,7 @@ from malipp_field.clock import Clock
 from malipp_field.errors import LinkError
 from malipp_field.link.channels import Channel, OnEvent, OnMessage, VehicleLink
 from malipp_field.link.exchange import MavMessage
-from malipp_field.link.frames import FrameReader, StreamReader
+from malipp_field.link.frames import Frame, FrameReader, StreamReader
 from malipp_field.link.outbox import Outbox
 from malipp_field.link.signing import Refusal
 from malipp_field.link.wires import Address, Ends, OpenWire, Wire, fault_in_words, open_wire
@@ -141,13 +141,14 @@ class Link:
         elif self._wire.ready and not self.outbox:
             self._write(channel, message)
         else:
-            self.outbox.put(channel, message)
+            self.outbox.put(channel, message, self._clock.now_s())
             if self.outbox.full:
                 self._lost("it takes nothing any more")
 
     def _send_on(self) -> None:
-        while self.outbox and self._wire is not None and self._wire.ready:
-            self._write(*self.outbox.take())
+        now_s = self._clock.now_s()
+        while self._wire is not None and self._wire.ready and (first := self.outbox.take(now_s)):
+            self._write(*first)
 
     def _write(self, channel: Channel, message: MavMessage) -> None:
         route = self._routes.get(channel.where.system_id)
@@ -164,12 +165,7 @@ class Link:
         self._backoff.reset()
         now_s = self._clock.now_s()
         for frame in self.reader.feed(data):
-            channels = self._channels.get(frame.system)
-            if not channels and frame.message_id == mavlink.MAVLINK_MSG_ID_RADIO_STATUS:
-                channels = self.channels  # the radio they share speaks as a system of its own
-            if not channels and frame.message_id == mavlink.MAVLINK_MSG_ID_HEARTBEAT:
-                # Another ground station that speaks as we do feeds the vehicles' failsafe as we do.
-                channels = [channel for channel in self.channels if channel.where.own[0] == frame.system]
+            channels = self._channels.get(frame.system) or self._overhearing(frame)
             if not channels:
                 self.strangers += 1
                 continue
@@ -177,6 +173,15 @@ class Link:
                 refusal = channel.take(frame, now_s)
                 if address is not None and channel.vouches(frame):
                     self._learn_route(frame.system, address, refusal, now_s)
+
+    def _overhearing(self, frame: Frame) -> list[Channel]:
+        """Return whom a frame concerns that is of no vehicle."""
+        if frame.message_id == mavlink.MAVLINK_MSG_ID_RADIO_STATUS:
+            return self.channels  # the radio they share speaks as a system of its own
+        if frame.message_id == mavlink.MAVLINK_MSG_ID_HEARTBEAT:
+            # Another ground station that speaks as we do feeds the vehicles' failsafe as we do.
+            return [channel for channel in self.channels if channel.where.own[0] == frame.system]
+        return []
 
     def _learn_route(self, system: int, address: Address, refusal: Refusal | None, now_s: float) -> None:
         """Answer where a system was last heard; where only old words of it are heard, there."""
@@ -267,7 +272,8 @@ class Links:
         where
             How the vehicle is reached.
         on_message
-            Called in the event loop for every message of the vehicle, or of the radio of its link.
+            Called in the event loop for every message of the vehicle, of the radio of its link, and for
+            heartbeats of other ground stations that have our system id.
         on_event
             Called when the link is lost, when it is back, and when frames are refused.
         skip

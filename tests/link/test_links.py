@@ -209,6 +209,35 @@ def test_a_slow_wire_drops_old_heartbeats_and_requests_and_nothing_else() -> Non
     run(scene)
 
 
+def test_a_heartbeat_does_not_wait_for_long() -> None:
+    """Who has stopped them relies on it that none is sent any more."""
+
+    async def scene(ground: Ground) -> None:
+        channel = await ground.channel(7)
+        wire = ground.opener.last
+        wire.ready = False
+        channel.send(HEARTBEAT)
+        channel.send(count(2))
+        await ground.live(1.2)
+        wire.drain()
+        assert [m.get_type() for m in wire.messages] == ["MISSION_COUNT"]
+        assert ground.links._links[ground.url].outbox.superseded == 1
+
+    run(scene)
+
+
+def test_heartbeats_of_ground_stations_with_our_system_id_are_overheard() -> None:
+    async def scene(ground: Ground) -> None:
+        await ground.channel(1)
+        await ground.channel(2)
+        rival = said_by(255, component=1) + said_by(254, component=1) + said_by(255, count(3))
+        ground.opener.last.ends.received(rival, None)
+        assert ground.heard == [(1, "HEARTBEAT"), (2, "HEARTBEAT")]
+        assert ground.links._links[ground.url].strangers == 2
+
+    run(scene)
+
+
 def test_a_wire_that_takes_nothing_any_more_is_opened_anew() -> None:
     async def scene(ground: Ground) -> None:
         channel = await ground.channel(7)
@@ -323,6 +352,29 @@ vehicles:
   carrier: {link: LINK, system_id: 9, component_id: 2, signing_key: keys/carrier.key}
 ground_station: {system_id: 250, component_id: 191}
 """
+
+
+@pytest.mark.parametrize(
+    ("scout", "carrier", "alone"),
+    [
+        ("udpin:0.0.0.0:5", "udpin:0.0.0.0:5", (False, False)),
+        ("udpin:0.0.0.0:5", "udpin:0.0.0.0:6", (True, True)),
+        ("udpin:0.0.0.0:5, signing_key: a", "udpin:0.0.0.0:5", (True, False)),
+        ("udpin:0.0.0.0:5, signing_key: a", "udpin:0.0.0.0:5, signing_key: b", (True, True)),
+        ("udpin:0.0.0.0:5, signing_key: a", "udpin:0.0.0.0:5, signing_key: a", (False, False)),
+    ],
+)
+def test_who_hears_what_is_said_to_another(
+    tmp_path: Path, scout: str, carrier: str, alone: tuple[bool, bool]
+) -> None:
+    """A vehicle without a key believes also what is signed for another."""
+    for name in ("a", "b"):
+        make_key_file(tmp_path / name)
+    entries = f"  scout: {{link: {scout}}}\n  carrier: {{link: {carrier}}}\n"
+    mission = parse_mission(MISSION[: MISSION.index("  carrier: {link")] + entries)
+    with KeyRing() as keys:
+        found = [not vehicle_link(mission, robot, tmp_path, keys).shared for robot in ("scout", "carrier")]
+    assert tuple(found) == alone
 
 
 def test_the_mission_file_says_how_vehicles_are_reached(tmp_path: Path) -> None:
