@@ -26,6 +26,9 @@ _RELAXATION_S = 10.0
 """Most seconds for the bound of a plan whose method has none."""
 _SEQUENTIAL_SHARE = 0.1
 """Of the time limit, for the Seq-LIPP plan that the others begin with."""
+_SEQUENTIAL_SHARE_OF_MANY, _MANY = 0.25, 16
+"""Of a team of more robots than this, whose Seq-LIPP plan takes longer and is worth more: groups of a few
+robots at a time are slow to reach it from nothing."""
 _SEQUENTIAL_FROM_S = 20.0
 """With less time it is left out: ruin and recreate soon beats it."""
 _NO_FIRST_PLAN = "the limit came before a first plan"
@@ -179,7 +182,8 @@ def _exact(request: Request, problem: Problem, start: TeamPlan | None) -> Plan:
     search = request.search
     enough = search.effort.left_s >= _SEQUENTIAL_FROM_S and search.work is None
     if start is None and request.method in {"auto", "fast"} and enough:
-        start = _one_by_one(problem, search.share(_SEQUENTIAL_SHARE))
+        share = _SEQUENTIAL_SHARE if len(problem.robots) <= _MANY else _SEQUENTIAL_SHARE_OF_MANY
+        start = _one_by_one(problem, search.share(share))
     result = _run(request.engine, problem, search, start)
     if result.infeasible:
         return _impossible(request)
