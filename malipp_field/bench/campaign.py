@@ -296,4 +296,5 @@ def _duration(time_s: float) -> str:
 
 @functools.cache
 def _site(spec: Specification) -> str:
-    return hashlib.sha256(build(spec, FIRST_BUDGET_J).model_dump_json().encode()).hexdigest()[:16]
+    text = build(spec, FIRST_BUDGET_J).model_dump_json(exclude_defaults=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:16]

@@ -61,8 +61,8 @@ class Task:
     def key(self) -> str:
         """Return a fingerprint of all that the result may depend on, the planner's code apart."""
         parts = [
-            self.mission.model_dump_json(),
-            None if self.state is None else self.state.model_dump_json(),
+            self.mission.model_dump_json(exclude_defaults=True),
+            None if self.state is None else self.state.model_dump_json(exclude_defaults=True),
             self.method, self.handoffs, self.time_limit_s, self.mip_gap, self.threads,
         ]  # fmt: skip
         return hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:16]
