@@ -351,8 +351,7 @@ class Coordinator:
         if not plan.robots:
             self._say("warning", f"no new plan, going on as planned: {plan.reason or plan.status}")
             return None
-        now_s = self._clock.now_s()
-        return revise(self.mission, plan, outlook, self.ledger, self._in_force(), self._start_s, now_s)
+        return revise(self.mission, plan, outlook, self.ledger, self._in_force(), self._start_s)
 
     async def _plan_rest(self, outlook: Outlook) -> Plan:
         """Plan with an energy reserve; where that is too much to ask by now, without it, in the time left."""

@@ -43,12 +43,11 @@ def revise(
     ledger: CustodyLedger,
     in_force: Mapping[str, VehicleMission],
     start_s: float | None = None,
-    now_s: float | None = None,
 ) -> Revision:
     """Compile ``plan`` and compare it with the missions in force.
 
     Containers that were promised already keep their tags, so that a vehicle whose part of the plan is what
-    it was is not touched. See `compile_plan` for ``start_s`` and ``now_s``.
+    it was is not touched. ``start_s`` is when mission time 0 was.
     """
     custody = Custody(
         on_board=outlook.on_board,
@@ -56,7 +55,7 @@ def revise(
         promised=outlook.promised,
         next_tag=ledger.next_tag,
     )
-    compiled = compile_plan(mission, plan, custody, start_s, now_s)
+    compiled = compile_plan(mission, plan, custody, start_s)
     missions = {}
     for robot_id, part in compiled.missions.items():
         old = in_force[robot_id]

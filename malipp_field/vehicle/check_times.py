@@ -13,12 +13,6 @@ from malipp_field.vehicle.finding import Finding, Spot
 from malipp_field.vehicle.layout import Layout, held_for_operator, means_of
 from malipp_field.vehicle.steps import Action, Step, VehicleMission
 
-HOUR_S = 3600.0
-SCRIPT_GATE_LIMIT_S = 12 * HOUR_S
-"""The payload script knows a time of day: half a day ahead it cannot tell today's from yesterday's."""
-DELAY_GATE_LIMIT_S = 23 * HOUR_S
-"""A NAV_DELAY that begins a day ahead of its time ends at once."""
-
 
 def service_findings(mission: Mission, vehicle: VehicleMission) -> Iterator[Finding]:
     """Yield the stop whose outputs take longest, where that is longer than the plan's service time."""
@@ -44,7 +38,9 @@ def service_findings(mission: Mission, vehicle: VehicleMission) -> Iterator[Find
 def gate_findings(
     mission: Mission, route: RobotPlan, vehicle: VehicleMission, layout: Layout, start_s: float | None
 ) -> Iterator[Finding]:
-    """Yield time gates that are in the past, too far ahead to be told apart, or late for a vehicle alone.
+    """Yield time gates that are in the past, or late for a vehicle alone.
+
+    Those too far ahead to be told from past ones do not compile.
 
     Parameters
     ----------
@@ -73,20 +69,12 @@ def _gate(
     spot: Spot, opens_s: float, start_s: float, arrive_s: float, *, by_script: bool
 ) -> Iterator[Finding]:
     ahead_s = opens_s - arrive_s
-    limit_s = SCRIPT_GATE_LIMIT_S if by_script else DELAY_GATE_LIMIT_S
     if opens_s < start_s:
         yield spot.error(
             "gate-past",
             f"opens at {utc(opens_s)}, before the mission starts: "
             + ("it does not wait at all" if by_script else "it waits until the next day"),
             "start later, or plan again",
-        )
-    elif ahead_s > limit_s:
-        yield spot.error(
-            "gate-far",
-            f"opens {ahead_s / HOUR_S:.1f} h after the vehicle comes: it knows times of day only, and "
-            "opens too early",
-            f"keep waits below {limit_s / HOUR_S:.0f} h",
         )
     elif not by_script:
         yield spot.warning(

@@ -27,9 +27,9 @@ from malipp_field.plan import Plan, Stop
 from malipp_field.vehicle.steps import MAX_TAG, Action, GeoPoint, Sample, Step, VehicleMission
 
 DELAY_GATE_H = 23
-"""How far ahead a gate by NAV_DELAY may be: a time of day just past would be one of tomorrow."""
+"""How long a gate by NAV_DELAY may be waited at: one a day ahead would be taken for one that is due."""
 SCRIPT_GATE_H = 11
-"""How far ahead a gate kept by the payload script may be: beyond half a day it takes the time as past."""
+"""How long one kept by the payload script may be: what is more than half a day ahead it takes for past."""
 
 Place = tuple[str, int]
 """A stop: robot and index in its route."""
@@ -90,7 +90,6 @@ def compile_plan(
     plan: Plan,
     custody: Custody | None = None,
     start_s: float | None = None,
-    now_s: float | None = None,
 ) -> Compiled:
     """Return the steps of every vehicle of a plan.
 
@@ -104,8 +103,6 @@ def compile_plan(
         Containers on board and in caches when the plan begins; by default none.
     start_s
         When mission time 0 is, in seconds since the Unix epoch. Without it no gate opens by time.
-    now_s
-        When the vehicles are told; ``start_s`` where not given.
 
     Raises
     ------
@@ -133,7 +130,7 @@ def compile_plan(
                     stop,
                     handled[robot.id, index],
                     points,
-                    _gate_s(mission, robot.id, index, stop, start_s, now_s),
+                    _gate_s(mission, robot.id, index, stop, start_s),
                 )
             ),
             payload=mission.vehicle(robot.id).payload,
@@ -188,9 +185,7 @@ def _new_samples(mission: Mission, plan: Plan, custody: Custody) -> dict[Place, 
     }
 
 
-def _gate_s(
-    mission: Mission, robot: str, index: int, stop: Stop, start_s: float | None, now_s: float | None
-) -> float | None:
+def _gate_s(mission: Mission, robot: str, index: int, stop: Stop, start_s: float | None) -> float | None:
     """Return when a gate at a stop opens by itself: the planned service window there, and a margin.
 
     The window of a plan begins no earlier than the sender's departure and the clearance
@@ -199,16 +194,16 @@ def _gate_s(
     vehicle = mission.vehicle(robot)
     if start_s is None or vehicle.gate != "time" or not stop.pick:
         return None
-    gate_s = start_s + stop.depart_s - mission.team.service_time_s + vehicle.gate_margin_s
+    opens_s = stop.depart_s - mission.team.service_time_s + vehicle.gate_margin_s
     scripted = isinstance(vehicle.payload.pick, ByScript)
     most_h = SCRIPT_GATE_H if scripted else DELAY_GATE_H
-    ahead_h = (gate_s - (start_s if now_s is None else now_s)) / 3600.0
+    ahead_h = (opens_s - (stop.arrive_s or 0.0)) / 3600.0
     if ahead_h > most_h:
         raise PlanError(
-            f"{robot}, stop {index} at '{stop.node}': its time gate opens {ahead_h:.1f} h ahead; the time of "
-            f"day tells at most {most_h} h: say gate: custody, or a smaller gate_margin_s"
+            f"{robot}, stop {index} at '{stop.node}': its time gate opens {ahead_h:.1f} h after it comes; "
+            f"the time of day tells at most {most_h} h: say gate: custody, or a smaller gate_margin_s"
         )
-    return gate_s
+    return start_s + opens_s
 
 
 def _follow_containers(

@@ -17,7 +17,7 @@ from malipp_field.mission.vehicles import (
     PayloadProfile,
     VehicleSettings,
 )  # fmt: skip
-from malipp_field.vehicle.compile import compile_plan
+from malipp_field.vehicle.compile import Compiled, compile_plan
 from malipp_field.vehicle.items import MissionItem
 from malipp_field.vehicle.layout import Layout, confirmed_by, gate_code, held_for_operator, lay_out
 from malipp_field.vehicle.steps import Action, GeoPoint, Step, VehicleMission
@@ -183,13 +183,22 @@ def test_a_time_gate_opens_when_the_pick_is_due_and_a_margin_later() -> None:
 
 @pytest.mark.parametrize(("pick", "most_h"), [(ByHand(by="manual"), 23), (ByScript(), 11)])
 def test_a_gate_of_another_day_is_refused(pick: Means, most_h: int) -> None:
-    settings = VehicleSettings(payload=only(Action.PICK, pick), gate="time", gate_margin_s=30.0)
-    mission = SMALL.model_copy(update={"vehicles": {"carrier": settings}})
-    start_s = MIDNIGHT_S
-    latest_s = start_s + 160.0 - most_h * 3600.0
-    compile_plan(mission, handoff_plan(), start_s=start_s, now_s=latest_s + 1.0)
+    def at_the_gate_for(hours: float) -> Compiled:
+        settings = VehicleSettings(
+            payload=only(Action.PICK, pick), gate="time", gate_margin_s=min(43200.0, hours * 3600.0)
+        )
+        plan = handoff_plan()
+        route = plan.robot("carrier").route
+        late_s = hours * 3600.0 - settings.gate_margin_s
+        meet = route[1].model_copy(update={"depart_s": 130.0 + late_s})
+        carrier = plan.robot("carrier").model_copy(update={"route": (route[0], meet, route[2])})
+        robots = tuple(carrier if robot.id == "carrier" else robot for robot in plan.robots)
+        mission = SMALL.model_copy(update={"vehicles": {"carrier": settings}})
+        return compile_plan(mission, plan.model_copy(update={"robots": robots}), start_s=MIDNIGHT_S)
+
+    at_the_gate_for(most_h - 0.01)
     with pytest.raises(PlanError, match=f"carrier, stop 1 at 'hub': its time gate .* at most {most_h} h"):
-        compile_plan(mission, handoff_plan(), start_s=start_s, now_s=latest_s - 1.0)
+        at_the_gate_for(most_h + 0.01)
 
 
 def test_what_a_lenient_vehicle_picks_is_in_doubt_from_then_on() -> None:
