@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import partial
 from typing import TypeAlias
 
@@ -46,6 +47,14 @@ def _tell(on_progress: OnProgress, what: str, transfer: MissionUpload | MissionD
     on_progress(what, *transfer.progress)
 
 
+@dataclass(frozen=True)
+class _UnderWay:
+    """Whom an exchange keeps waiting: `over` is set when it has ended."""
+
+    over: asyncio.Event
+    on_tick: Callable[[], None]
+
+
 class Driver:
     """Runs exchanges with one vehicle, and the acts that are made of them.
 
@@ -79,17 +88,24 @@ class Driver:
         self.heartbeats = Heartbeats(vehicle, own, alone=beats_alone)
         self.clock = clock
         self._send = send
-        self._exchanges: list[Exchange] = []
+        self._exchanges: dict[Exchange, _UnderWay] = {}
 
     def receive(self, message: MavMessage, now_s: float) -> None:
         """Hand a message of the link to the exchanges under way."""
         for exchange in list(self._exchanges):
-            self._send_all(exchange.receive(message, now_s))
+            self._go_on(exchange, exchange.receive(message, now_s))
 
     def tick(self, now_s: float) -> None:
         """Let time pass for the exchanges under way."""
-        for exchange in list(self._exchanges):
-            self._send_all(exchange.tick(now_s))
+        for exchange, under_way in list(self._exchanges.items()):
+            self._go_on(exchange, exchange.tick(now_s))
+            under_way.on_tick()
+
+    def _go_on(self, exchange: Exchange, messages: Sequence[MavMessage]) -> None:
+        """Send what an exchange has to say, and wake whoever waits for its end."""
+        self._send_all(messages)
+        if exchange.ended:
+            self._exchanges[exchange].over.set()
 
     def _send_all(self, messages: Sequence[MavMessage]) -> None:
         for message in messages:
@@ -106,14 +122,13 @@ class Driver:
 
     async def run(self, exchange: Exchange, on_tick: Callable[[], None] = lambda: None) -> None:
         """Run an exchange to its end; cancelled, it sends nothing more."""
-        self._exchanges.append(exchange)
+        under_way = self._exchanges[exchange] = _UnderWay(asyncio.Event(), on_tick)
         try:
-            self._send_all(exchange.start(self.clock.now_s()))
-            while not exchange.ended:  # every exchange has limits of its own
-                await self.clock.sleep(TICK_S)
-                on_tick()
+            self._go_on(exchange, exchange.start(self.clock.now_s()))
+            await under_way.over.wait()  # every exchange has limits of its own
+            on_tick()
         finally:
-            self._exchanges.remove(exchange)
+            del self._exchanges[exchange]
         if exchange.failure is not None:
             raise LinkError(exchange.failure)
 
