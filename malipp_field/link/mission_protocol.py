@@ -30,6 +30,8 @@ from malipp_field.link.exchange import (
 from malipp_field.vehicle.items import MissionItem
 
 ITEM_TIMEOUT_S = 0.25
+REQUESTS_UNDER_WAY = 4
+"""Items asked for at a time in a download: as many answers fit into an autopilot's buffer for a radio."""
 BUSY_LIMIT_S = 30.0
 """How long to wait for another uploader to end, or for a vehicle that says it cannot just now."""
 ATTEMPTS = 1 + RETRIES
@@ -225,7 +227,11 @@ class MissionUpload(MissionExchange):
 
 
 class MissionDownload(MissionExchange):
-    """Read the items of one type that are on a vehicle; `items` holds them when `done`."""
+    """Read the items of one type that are on a vehicle; `items` holds them when `done`.
+
+    An ArduPilot answers each request on its own, so a few are always under way: one after the other, a radio
+    that takes 0.2 s each way would take 40 s for 100 items.
+    """
 
     def __init__(
         self,
@@ -238,25 +244,42 @@ class MissionDownload(MissionExchange):
         super().__init__(target_system, target_component, own_system, own_component, mission_type)
         self.items: list[MissionItem] = []
         self._count: int | None = None
+        self._arrived: dict[int, MissionItem] = {}
+        self._requested_s: dict[int, float] = {}  # those under way, and when each was asked for last
+        self._next = 0  # the first that was never asked for
 
     @property
     def progress(self) -> tuple[int, int]:
         """Items that have arrived, and all items (0 while that is not known)."""
-        return len(self.items), self._count or 0
+        return len(self._arrived), self._count or 0
 
     def start(self, now_s: float) -> list[MavMessage]:
         """Ask how many items there are."""
         return self._ask(now_s)
 
+    def tick(self, now_s: float) -> list[MavMessage]:
+        """Let time pass; ask again for what is late."""
+        if self.ended or self._count is None:
+            return super().tick(now_s)
+        late = [seq for seq, asked_s in self._requested_s.items() if now_s >= asked_s + self._interval_s]
+        if not late:
+            return []
+        if self._repeats >= RETRIES and now_s >= self._heard_s + SILENCE_LIMIT_S:
+            return self._unanswered()
+        self._repeats += 1
+        return [self._request(seq, now_s) for seq in late]
+
     def _question(self) -> list[MavMessage]:
-        if self._count is None:
-            return [mavlink.MAVLink_mission_request_list_message(*self._target, mission_type=self._type)]
-        seq = len(self.items)
-        return [mavlink.MAVLink_mission_request_int_message(*self._target, seq, mission_type=self._type)]
+        return [mavlink.MAVLink_mission_request_list_message(*self._target, mission_type=self._type)]
+
+    def _request(self, seq: int, now_s: float) -> MavMessage:
+        self._requested_s[seq] = now_s
+        return mavlink.MAVLink_mission_request_int_message(*self._target, seq, mission_type=self._type)
 
     def _unanswered(self) -> list[MavMessage]:
-        asked = "MISSION_REQUEST_LIST" if self._count is None else f"a request for item {len(self.items)}"
-        return self._silent(asked)
+        if self._count is None:
+            return self._silent("MISSION_REQUEST_LIST")
+        return self._silent(f"a request for item {min(self._requested_s)}")
 
     def _answered(self, message: MavMessage, now_s: float) -> list[MavMessage]:
         kind = message.get_msgId()
@@ -264,23 +287,27 @@ class MissionDownload(MissionExchange):
             return []
         if kind == mavlink.MAVLINK_MSG_ID_MISSION_COUNT and self._count is None:
             self._count = message.count
-            return self._next(now_s)
-        if kind == mavlink.MAVLINK_MSG_ID_MISSION_ITEM_INT and self._count is not None:
-            return self._arrived(message, now_s)
+            # Twice what this answer took is time enough for another, on a slow link as well.
+            self._interval_s = min(max(ITEM_TIMEOUT_S, 2.0 * (now_s - self._asked_s)), DEFAULT_TIMEOUT_S)
+            return self._go_on(now_s)
+        if kind == mavlink.MAVLINK_MSG_ID_MISSION_ITEM_INT and message.seq in self._requested_s:
+            del self._requested_s[message.seq]
+            fields = (getattr(message, name) for name in MissionItem._fields)
+            self._arrived[message.seq] = MissionItem(*fields)
+            return self._go_on(now_s)
         if kind == mavlink.MAVLINK_MSG_ID_MISSION_ACK:
             return self._refused(message.type, now_s)
         return []
 
-    def _arrived(self, message: MavMessage, now_s: float) -> list[MavMessage]:
-        if message.seq != len(self.items):  # a duplicate, or late
-            return []
-        self.items.append(MissionItem(*(getattr(message, name) for name in MissionItem._fields)))
-        return self._next(now_s)
-
-    def _next(self, now_s: float) -> list[MavMessage]:
-        self._busy_since_s = None
-        if len(self.items) != self._count:
-            return self._ask(now_s, ITEM_TIMEOUT_S)
+    def _go_on(self, now_s: float) -> list[MavMessage]:
+        """Ask for more, or end."""
+        assert self._count is not None
+        self._busy_since_s, self._heard_s, self._repeats = None, now_s, 0
+        first = self._next
+        self._next = min(self._count, first + REQUESTS_UNDER_WAY - len(self._requested_s))
+        if len(self._arrived) < self._count:
+            return [self._request(seq, now_s) for seq in range(first, self._next)]
+        self.items = [self._arrived[seq] for seq in range(self._count)]
         self.done = True
         accepted = mavlink.MAV_MISSION_ACCEPTED
         return [mavlink.MAVLink_mission_ack_message(*self._target, accepted, mission_type=self._type)]

@@ -139,9 +139,9 @@ def ack(result: int, to: tuple[int, int] = (GROUND_SYSTEM, GROUND_COMPONENT)) ->
 class Wire:
     """Delivers messages late, twice, out of order, or not at all."""
 
-    def __init__(self, seed: int, loss: float, bad: bool = True) -> None:
+    def __init__(self, seed: int, loss: float, bad: bool = True, late_s: float = 0.01) -> None:
         self._random = random.Random(seed)
-        self._loss, self._bad = loss, bad
+        self._loss, self._bad, self._late_s = loss, bad, late_s
         self._flying: list[tuple[float, int, Any]] = []
         self._order = itertools.count()
 
@@ -153,7 +153,7 @@ class Wire:
 
     def _delay_s(self) -> float:
         if not self._bad:
-            return 0.01
+            return self._late_s
         late = self._random.random() < 0.03
         return self._random.uniform(0.5, 3.0) if late else self._random.uniform(0.005, 0.15)
 
@@ -175,12 +175,14 @@ def converse(
     meanwhile: Callable[[float], None] = lambda now_s: None,
     start_s: float = 100.0,
     limit_s: float = 900.0,
+    late_s: float = 0.01,
 ) -> float:
     """Run an exchange to its end over a bad link; return how long it took in simulated seconds.
 
-    `cut_after`: from that message of the ground on, nothing gets through either way.
+    `cut_after`: from that message of the ground on, nothing gets through either way. `late_s`: what a message
+    takes where the link is not bad.
     """
-    up, down = Wire(seed, loss, bad), Wire(seed + 1_000_000, loss, bad)
+    up, down = Wire(seed, loss, bad, late_s), Wire(seed + 1_000_000, loss, bad, late_s)
     sent, now_s = 0, start_s
 
     def send(messages: list[Any]) -> None:

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
 from typing import Any
 
@@ -69,6 +70,25 @@ def test_no_time_is_lost_on_a_good_link(make: Callable[[], MissionVehicle]) -> N
     vehicle = make()
     assert converse(MissionUpload(mission_items(30), SYSTEM), vehicle, bad=False) < 30 * 0.2
     assert converse(MissionDownload(SYSTEM), vehicle, bad=False) < 30 * 0.2
+
+
+@pytest.mark.parametrize("make", VEHICLES)
+def test_on_a_slow_link_several_items_are_asked_for_at_a_time_and_each_once(
+    make: Callable[[], MissionVehicle],
+) -> None:
+    vehicle, asked = make(), Counter[int]()
+    converse(MissionUpload(mission_items(41), SYSTEM), vehicle, bad=False)
+
+    class Counting(MissionDownload):
+        def _request(self, seq: int, now_s: float) -> Any:
+            asked[seq] += 1
+            return super()._request(seq, now_s)
+
+    download = Counting(SYSTEM)
+    took_s = converse(download, vehicle, bad=False, late_s=0.2)
+    assert differences(mission_items(41), download.items) == []
+    assert took_s < 0.4 * (1 + 41 / 2)  # one after the other: 0.4 s each
+    assert asked == Counter(range(41))
 
 
 @pytest.mark.parametrize("make", VEHICLES)
