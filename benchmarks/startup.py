@@ -28,7 +28,7 @@ from typing import NamedTuple
 from malipp_field.bench.machine import machine, versions
 from malipp_field.bench.page import table
 from malipp_field.bench.script import ended
-from malipp_field.cli.app import LIMIT_REACHED
+from malipp_field.cli.status import LIMIT_REACHED
 from malipp_field.errors import MalippError
 
 ROOT = Path(__file__).resolve().parent

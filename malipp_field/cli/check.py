@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.text import Text
 
 from malipp_field.cli.files import MissionFile, PlanFile, verified
+from malipp_field.cli.status import INPUT_ERROR
 from malipp_field.cli.times import StartTime
 from malipp_field.errors import InputError
 
@@ -19,7 +20,6 @@ if TYPE_CHECKING:
     from malipp_field.plan import Plan
     from malipp_field.vehicle.finding import Finding, Severity
 
-_FAULTY = 2
 _STYLES: dict[Severity, str] = {"error": "bold red", "warning": "yellow", "note": "cyan"}
 _OF_LINKS = {"no-link", "unsigned"}
 _INDENT = 10
@@ -54,7 +54,7 @@ def check(
     print_findings(findings, out)
     out.print(Text(f"{plan_file}: ").append_text(_verdict(findings)), soft_wrap=True)
     if has_errors(findings):
-        raise typer.Exit(_FAULTY)
+        raise typer.Exit(INPUT_ERROR)
 
 
 def show_faults(mission: Mission, plan: Plan, start_s: float | None = None) -> bool:

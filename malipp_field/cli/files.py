@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -31,3 +32,24 @@ def verified(mission_file: Path, plan_file: Path) -> tuple[Mission, Plan]:
     except PlanError as fault:
         raise InputError(str(plan_file), None, "", str(fault)) from None
     return mission, found
+
+
+def folder(path: Path) -> None:
+    """Refuse a folder for results that is something else already."""
+    if path.exists() and not path.is_dir():
+        raise InputError(str(path), None, "", "is not a folder")
+
+
+def writable(path: Path, source: Path) -> None:
+    """Find out before the work, not after it, that its result cannot be written, or not over ``source``."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as fault:
+        raise InputError(str(path.parent), None, "", f"cannot be made: {fault.strerror}") from None
+    if path.exists() and not path.is_file():
+        # Results are moved into place whole, which would replace a device or a pipe by a file.
+        raise InputError(str(path), None, "", "cannot be written: it is not an ordinary file")
+    if path.exists() and source.exists() and path.samefile(source):
+        raise InputError(str(path), None, "", "cannot be written: it is what is to be read")
+    if not os.access(path if path.exists() else path.parent, os.W_OK):
+        raise InputError(str(path), None, "", "cannot be written")

@@ -13,6 +13,7 @@ import typer
 
 from malipp_field.cli.check import show_faults
 from malipp_field.cli.files import MissionFile, PlanFile, verified
+from malipp_field.cli.status import NOT_DONE, UNKNOWN
 from malipp_field.cli.times import StartTime
 from malipp_field.errors import InputError, LinkError, PlanError
 
@@ -24,8 +25,6 @@ if TYPE_CHECKING:
     from malipp_field.vehicle.items import MissionItem
 
     Wanted = dict[str, dict[MissionType, list[MissionItem]]]
-
-NOT_DONE, UNKNOWN = 6, 7
 
 RobotNames = Annotated[
     list[str] | None,

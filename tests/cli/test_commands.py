@@ -10,8 +10,9 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from malipp_field.cli.app import Method, main
+from malipp_field.cli.app import main
 from malipp_field.cli.display import plan_table
+from malipp_field.cli.plan import Method
 from malipp_field.mission import read_mission
 from malipp_field.plan import Plan, read_plan
 

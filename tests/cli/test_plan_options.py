@@ -10,10 +10,11 @@ from typing import Any, get_args
 import pytest
 from rich.console import Console
 
-from malipp_field.cli.app import Method, main
+from malipp_field.cli.app import main
 from malipp_field.cli.display import ProgressLine
 from malipp_field.cli.explain import explanation_view, print_explanation
 from malipp_field.cli.interrupt import Interruption
+from malipp_field.cli.plan import Method
 from malipp_field.mission.schema import Method as SchemaMethod
 from malipp_field.plan import read_plan
 from malipp_field.planner import Progress
