@@ -51,7 +51,11 @@ class Bus:
             "connect/endpoints": list(connect),
             "connect/exit_on_failure": False,
         }.items():
-            self._config.insert_json5(key, json.dumps(value))
+            try:
+                self._config.insert_json5(key, json.dumps(value))
+            except zenoh.ZError:  # whose words are about its source code
+                given = ", ".join(value) if isinstance(value, list) else value
+                raise LinkError(f"'{given}' is no address of a bus, such as tcp/127.0.0.1:7447") from None
         self._session: Any = None
         self._mailbox = Mailbox(self._in_loop)
         self._declared: list[Any] = []  # Zenoh undeclares what nobody holds on to

@@ -10,10 +10,9 @@ import typer
 from rich.console import Console
 from rich.text import Text
 
-from malipp_field.cli.files import MissionFile, PlanFile, verified
+from malipp_field.cli.files import MissionFile, PlanFile, known_robot, verified
 from malipp_field.cli.status import INPUT_ERROR
 from malipp_field.cli.times import StartTime
-from malipp_field.errors import InputError
 
 if TYPE_CHECKING:
     from malipp_field.mission import Mission
@@ -44,11 +43,9 @@ def check(
     from malipp_field.vehicle.check import check as find
 
     mission, plan = verified(mission_file, plan_file)
-    robots = [found.id for found in plan.robots]
     for name in robot or ():
-        if name not in robots:
-            raise InputError(str(plan_file), None, "", f"has no robot '{name}', only {', '.join(robots)}")
-    wanted = [None, *(robot or robots)]
+        known_robot(mission_file, mission, name)
+    wanted = [None, *(robot or [route.id for route in plan.robots])]
     findings = [*_keys(mission, mission_file.parent), *find(mission, plan, start)]
     findings = sorted((f for f in findings if f.robot in wanted), key=lambda f: wanted.index(f.robot))
     print_findings(findings, out)

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from malipp_field.cli.files import MissionFile
-from malipp_field.documents import suggest
+from malipp_field.cli.files import MissionFile, known_robot
 from malipp_field.errors import LinkError
 
 if TYPE_CHECKING:
@@ -47,9 +46,8 @@ def confirm(
     from malipp_field.mission import read_mission
 
     mission = read_mission(mission_file)
-    robots = [known.id for known in mission.team.robots]
-    if robot is not None and robot not in robots:
-        raise LinkError(f"mission '{mission.name}' has no robot '{robot}'" + suggest(robot, robots))
+    if robot is not None:
+        known_robot(mission_file, mission, robot)
     if robot is None and (failed is not None or value is not None):
         raise LinkError("say which ROBOT's action that is")
     if not connect:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from malipp_field.documents import suggest
 from malipp_field.errors import InputError, PlanError
 
 if TYPE_CHECKING:
@@ -32,6 +33,14 @@ def verified(mission_file: Path, plan_file: Path) -> tuple[Mission, Plan]:
     except PlanError as fault:
         raise InputError(str(plan_file), None, "", str(fault)) from None
     return mission, found
+
+
+def known_robot(mission_file: Path, mission: Mission, name: str) -> None:
+    """Refuse a robot that the mission does not have; raises `InputError`."""
+    robots = [robot.id for robot in mission.team.robots]
+    if name not in robots:
+        hint = suggest(name, robots) or f"; there are {', '.join(robots)}"
+        raise InputError(str(mission_file), None, "", f"has no robot '{name}'{hint}")
 
 
 def folder(path: Path) -> None:

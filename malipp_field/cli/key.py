@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from malipp_field.errors import InputError, MalippError
+from malipp_field.cli.files import known_robot
+from malipp_field.errors import MalippError
 
 if TYPE_CHECKING:
     from malipp_field.link import VehicleLink
@@ -56,11 +57,7 @@ def _give(key_file: Path, robot: str, mission_file: Path, link: str | None) -> N
     from malipp_field.mission.link_url import parse_link_url
 
     mission = read_mission(mission_file)
-    robots = [one.id for one in mission.team.robots]
-    if robot not in robots:
-        raise InputError(
-            str(mission_file), None, "", f"has no robot '{robot}'; there are {', '.join(robots)}"
-        )
+    known_robot(mission_file, mission, robot)
     settings = mission.vehicle(robot)
     if link is not None:
         try:

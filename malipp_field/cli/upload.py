@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from malipp_field.cli.check import show_faults
-from malipp_field.cli.files import MissionFile, PlanFile, verified
+from malipp_field.cli.files import MissionFile, PlanFile, known_robot, verified
 from malipp_field.cli.status import NOT_DONE, UNKNOWN
 from malipp_field.cli.times import StartTime
 from malipp_field.errors import InputError, LinkError, PlanError
@@ -58,14 +58,14 @@ def upload(
     they had), 7 when of some vehicle it is not known.
     """
     mission, plan = verified(mission_file, plan_file)
-    wanted = _wanted(mission, plan, _chosen(mission, robot), start, fence=fence)
-    mission = _linked(mission, wanted, link, needed=not dry_run)
+    wanted = _wanted(mission, plan, _chosen(mission_file, mission, robot), start, fence=fence)
+    mission = _linked(mission_file, mission, wanted, link, needed=not dry_run)
     if show_faults(mission, plan, start):
         raise InputError(str(plan_file), None, "", "nothing is sent: see the errors above")
     if dry_run:
         for name, lists in wanted.items():
-            counts = ", ".join(f"{kind.word} {len(items)}" for kind, items in lists.items())
-            typer.echo(f"{name}: {mission.vehicle(name).link or 'no link'}: items: {counts}")
+            counts = ", ".join(f"{kind.word} ({len(items)})" for kind, items in lists.items())
+            typer.echo(f"{name}: {counts} by {mission.vehicle(name).link or 'no link yet'}")
         return
     states = asyncio.run(_upload(mission, mission_file.parent, wanted, hold=hold))
     if "unknown" in states:
@@ -91,10 +91,10 @@ def vehicles(
     from malipp_field.mission import read_mission
 
     mission, wanted = read_mission(mission_file), None
-    robots = _chosen(mission, robot)
+    robots = _chosen(mission_file, mission, robot)
     if plan_file is not None:
         wanted = _wanted(*verified(mission_file, plan_file), robots, start, fence=False)
-    mission = _linked(mission, robots, link, needed=True)
+    mission = _linked(mission_file, mission, robots, link, needed=True)
     lines = asyncio.run(_look(mission, mission_file.parent, robots, wanted))
     for name, (words, _) in lines.items():
         out.print(f"{name}: {words}", soft_wrap=True)
@@ -102,12 +102,10 @@ def vehicles(
         raise typer.Exit(NOT_DONE)
 
 
-def _chosen(mission: Mission, names: Sequence[str] | None) -> list[str]:
-    robots = [each.id for each in mission.team.robots]
+def _chosen(mission_file: Path, mission: Mission, names: Sequence[str] | None) -> list[str]:
     for name in names or ():
-        if name not in robots:
-            raise InputError("--robot", None, "", f"there is no robot '{name}', only {', '.join(robots)}")
-    return [name for name in robots if not names or name in names]
+        known_robot(mission_file, mission, name)
+    return [robot.id for robot in mission.team.robots if not names or robot.id in names]
 
 
 def _wanted(
@@ -135,15 +133,18 @@ def _wanted(
     return lists
 
 
-def _linked(mission: Mission, robots: Iterable[str], given: Sequence[str] | None, *, needed: bool) -> Mission:
+def _linked(
+    mission_file: Path, mission: Mission, robots: Iterable[str], given: Sequence[str] | None, *, needed: bool
+) -> Mission:
     """Return the mission with the links of the command line in place of its own."""
     from malipp_field.mission.link_url import parse_link_url
 
     vehicles = dict(mission.vehicles)
     for each in given or ():
         name, is_one, url = each.partition("=")
-        if not is_one or name not in [robot.id for robot in mission.team.robots]:
-            raise InputError("--link", None, "", f"'{each}' is not ROBOT=URL with a robot of the mission")
+        if not is_one:
+            raise InputError("--link", None, "", f"'{each}' is not ROBOT=URL")
+        known_robot(mission_file, mission, name)
         try:
             parse_link_url(url)
         except ValueError as fault:
@@ -178,6 +179,7 @@ async def _upload(mission: Mission, folder: Path, wanted: Wanted, *, hold: bool)
                 (out if member.state == "wanted" else err).print(
                     f"{member.robot}: {member.words}", soft_wrap=True
                 )
+            _say_why_unheard(contacts)
     return [member.state for member in members]
 
 
@@ -192,7 +194,19 @@ async def _look(
                 name: group.create_task(_look_at(contact, None if wanted is None else wanted[name]))
                 for name, contact in contacts.items()
             }
+        _say_why_unheard(contacts)
     return {name: look.result() for name, look in looks.items()}
+
+
+def _say_why_unheard(contacts: dict[str, Contact]) -> None:
+    from malipp_field.cli.display import err
+
+    silent = [name for name, contact in contacts.items() if contact.driver.vehicle.heartbeats == 0]
+    if silent:
+        err.print(
+            f"not heard: {', '.join(silent)}; see that link, system_id and signing_key are right",
+            soft_wrap=True,
+        )
 
 
 async def _look_at(contact: Contact, wanted: dict[MissionType, list[MissionItem]] | None) -> tuple[str, bool]:

@@ -207,7 +207,8 @@ def _open_private(path: Path) -> int:
     try:
         file = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
     except OSError as fault:
-        raise InputError(str(path), None, "", fault.strerror or str(fault)) from None
+        hint = "; malipp key makes keys" if isinstance(fault, FileNotFoundError) else ""
+        raise InputError(str(path), None, "", f"{fault.strerror or fault}{hint}") from None
     state = os.fstat(file)
     problem = None
     if not stat.S_ISREG(state.st_mode):

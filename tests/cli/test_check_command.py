@@ -133,7 +133,7 @@ def test_one_robot_and_a_start(mission: Path, plan: Path, capsys: pytest.Capture
     assert status("check", mission, plan, "--robot", "rover", "--start", "2027-05-04T09:30") == 0
     capsys.readouterr()
     assert status("check", mission, plan, "--robot", "rower") == 2
-    assert capsys.readouterr().err == f"{plan}: has no robot 'rower', only rover\n"
+    assert capsys.readouterr().err == f"{mission}: has no robot 'rower'; did you mean 'rover'?\n"
     assert status("check", mission, plan, "--start", "soon") == 2
     assert "'soon' is no time such as 2026-11-22T16:00Z" in capsys.readouterr().err
 

@@ -122,8 +122,9 @@ def test_what_is_not_taken_is_said() -> None:
         (["helper"], "say where the mission's bus is: --connect ADDRESS, or MALIPP_BUS=ADDRESS beforehand"),
         (
             ["helpr", "--connect", "x"],
-            "mission 'corridor-mixed' has no robot 'helpr'; did you mean 'helper'?",
+            f"{MIXED}: has no robot 'helpr'; did you mean 'helper'?",
         ),
+        (["helper", "--connect", "x"], "'x' is no address of a bus, such as tcp/127.0.0.1:7447"),
         (["--failed", "no", "--connect", "x"], "say which ROBOT's action that is"),
     ],
 )

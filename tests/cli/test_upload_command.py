@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import socket
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -123,7 +124,7 @@ def test_a_dry_run_sends_nothing_and_needs_no_link(
     files: tuple[Path, Path], capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert status("upload", *files, "--robot", "scout", "--dry-run") == 0
-    assert "scout: no link: items: mission" in capsys.readouterr().out
+    assert "scout: mission (" in capsys.readouterr().out
     assert status("upload", *files, "--robot", "scout", "--dry-run", "--no-fence") == 0
     assert "fence" not in capsys.readouterr().out
 
@@ -131,8 +132,9 @@ def test_a_dry_run_sends_nothing_and_needs_no_link(
 def test_bad_input_is_one_line(files: tuple[Path, Path], capsys: pytest.CaptureFixture[str]) -> None:
     for options, problem in (
         ((), "'scout' has no link: give --link scout=URL"),
-        (("--robot", "nobody"), "there is no robot 'nobody', only scout, mule"),
-        (("--link", "udpout:1.2.3.4:5"), "is not ROBOT=URL with a robot of the mission"),
+        (("--robot", "nobody"), "has no robot 'nobody'; there are scout, mule"),
+        (("--link", "udpout:1.2.3.4:5"), "is not ROBOT=URL"),
+        (("--link", "mul=udpout:1.2.3.4:5"), "has no robot 'mul'; did you mean 'mule'?"),
         (("--link", "scout=nonsense", "--robot", "scout"), "'nonsense' is not a link"),
     ):
         assert status("upload", *files, *options) == 2
@@ -148,3 +150,14 @@ def test_an_abstract_site_cannot_be_sent(
     files[0].write_text(text, encoding="utf-8")
     assert status("upload", *files, "--dry-run") == 2
     assert "an abstract site has no degrees to send" in capsys.readouterr().err
+
+
+def test_who_is_not_heard_is_named_with_what_to_look_at(
+    files: tuple[Path, Path], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("malipp_field.link.driver.HEARTBEAT_LOST_S", 0.1)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as nobody:
+        nobody.bind(("127.0.0.1", 0))
+        link = f"mule=udpout:127.0.0.1:{nobody.getsockname()[1]}"
+        assert status("vehicles", files[0], "--robot", "mule", "--link", link) == 6
+    assert capsys.readouterr().err == "not heard: mule; see that link, system_id and signing_key are right\n"
