@@ -49,7 +49,7 @@ class ProgressLine:
         if self._tty:
             self._live.stop()
         if fault is None:
-            err.print(f"{self._title}: done in {time.monotonic() - self._begun:.0f} s")
+            err.print(f"{self._title}: took {time.monotonic() - self._begun:.0f} s")
 
     def show(self, text: str) -> None:
         """Show where the work stands."""
@@ -91,6 +91,8 @@ def _doing(coordinator: Coordinator, robot: str) -> str:
     track = coordinator.tracks[robot]
     if track.finished or track.step is None:
         return "done"
+    if track.telemetry is not None and track.telemetry.awaits is not None:
+        return f"waits for a person at {track.step.node}"
     verb = {"drive": "to", "wait": "waits at"}.get(track.step.action, f"{track.step.action}s at")
     return f"{verb} {track.step.node}"
 

@@ -45,7 +45,7 @@ def whole_run(
             fly(mission, text, plan, recording, speed=speed, on_tick=line.flying, listen=address)
         )
     review_recording(recording, reviewed)
-    out.print(f"\n{outcome.reason[0].upper()}{outcome.reason[1:]}.")
+    out.print(f"\n{outcome.reason[0].upper()}{outcome.reason[1:]}.", soft_wrap=True)
     for path in (*dict.fromkeys(made), recording, reviewed):
         out.print(f"  {path}", soft_wrap=True)
     out.print(f"Look at it with: .venv/bin/rerun {reviewed}", soft_wrap=True)

@@ -39,7 +39,8 @@ def _all_done(ledger: CustodyLedger) -> tuple[bool, str]:
         return True, ("every sample taken is home" if home else "no sample was taken") + not_taken
     away = [record for record in records if record.state in ("on_board", "cached", "lost")]
     which = ", ".join(_whereabouts(record) for record in away)
-    return False, f"all vehicles are done, but {len(away)} samples are not home: {which}{not_taken}"
+    samples = "1 sample is" if len(away) == 1 else f"{len(away)} samples are"
+    return False, f"all vehicles are done, but {samples} not home: {which}{not_taken}"
 
 
 def _whereabouts(record: SampleRecord) -> str:

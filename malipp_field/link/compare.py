@@ -78,7 +78,7 @@ def differences(
     ]
     wanted, there = (max(0, len(items) - first) for items in (sent, read_back))
     if wanted != there:
-        found.append(f"{wanted} items{' after home' * home} were sent, {there} are on board")
+        found.append(f"{there} items{' after home' * home} on board, not {wanted}")
     return found
 
 
@@ -90,7 +90,7 @@ def _item_differences(sent: MissionItem, there: MissionItem) -> Iterator[str]:
     there_params = (there.param1, there.param2, there.param3, there.param4)
     for number, (ours, theirs) in enumerate(zip(sent_params, there_params, strict=True), start=1):
         if not _same_param((sent.command, number), ours, theirs):
-            yield f"param{number} sent {ours:g}, on board {theirs:g}"
+            yield f"param{number} is {theirs:g}, not {ours:g}"
     yield from (_place_differences if sent.command in _WITH_PLACE else _argument_differences)(sent, there)
 
 
@@ -107,11 +107,11 @@ def _same_param(key: tuple[int, int], sent: float, there: float) -> bool:
 def _place_differences(sent: MissionItem, there: MissionItem) -> Iterator[str]:
     distance_m = _distance_m(sent, there)
     if distance_m > PLACE_TOLERANCE_M:
-        yield f"the place on board is {distance_m:.1f} m from the one sent"
+        yield f"its place is {distance_m:.1f} m off"
     if _ALTITUDE_OF_FRAME.get(sent.frame, sent.frame) != _ALTITUDE_OF_FRAME.get(there.frame, there.frame):
-        yield f"frame sent {sent.frame}, on board {there.frame}"
+        yield f"frame is {there.frame}, not {sent.frame}"
     if not abs(sent.z - there.z) <= ALTITUDE_TOLERANCE_M:
-        yield f"altitude sent {sent.z:g} m, on board {there.z:g} m"
+        yield f"altitude is {there.z:g} m, not {sent.z:g} m"
 
 
 def _distance_m(a: MissionItem, b: MissionItem) -> float:
@@ -123,8 +123,8 @@ def _distance_m(a: MissionItem, b: MissionItem) -> float:
 def _argument_differences(sent: MissionItem, there: MissionItem) -> Iterator[str]:
     """Compare x and y as what they are where there is no place: raw numbers. NAV_SCRIPT_TIME has no z."""
     if sent.x != there.x:
-        yield f"x sent {sent.x}, on board {there.x}"
+        yield f"x is {there.x}, not {sent.x}"
     if sent.y != there.y:
-        yield f"y sent {sent.y}, on board {there.y}"
+        yield f"y is {there.y}, not {sent.y}"
     if sent.command != MAV_CMD_NAV_SCRIPT_TIME and sent.z != there.z:
-        yield f"z sent {sent.z:g}, on board {there.z:g}"
+        yield f"z is {there.z:g}, not {sent.z:g}"

@@ -100,15 +100,15 @@ def test_places_that_went_through_float32_compare_equal(lat: float, lon: float) 
 @pytest.mark.parametrize(
     ("sent", "there", "words"),
     [
-        (waypoint(param1=70000), waypoint(param1=4464), "param1 sent 70000, on board 4464"),
-        (waypoint(param2=5), waypoint(), "param2 sent 5, on board 0"),
-        (script(param1=258), script(), "param1 sent 258, on board 2"),
-        (script(), script(x=18), "x sent 17, on board 18"),
+        (waypoint(param1=70000), waypoint(param1=4464), "param1 is 4464, not 70000"),
+        (waypoint(param2=5), waypoint(), "param2 is 0, not 5"),
+        (script(param1=258), script(), "param1 is 2, not 258"),
+        (script(), script(x=18), "x is 18, not 17"),
         (script(), waypoint(), "NAV_WAYPOINT is on board instead"),
-        (waypoint(frame=0), waypoint(frame=3), "frame sent 0, on board 3"),
-        (waypoint(z=2.5), waypoint(z=0), "altitude sent 2.5 m, on board 0 m"),
-        (waypoint(param1=3), waypoint(param1=math.nan), "param1 sent 3, on board nan"),
-        (waypoint(param1=math.inf), waypoint(param1=0), "param1 sent inf, on board 0"),
+        (waypoint(frame=0), waypoint(frame=3), "frame is 3, not 0"),
+        (waypoint(z=2.5), waypoint(z=0), "altitude is 0 m, not 2.5 m"),
+        (waypoint(param1=3), waypoint(param1=math.nan), "param1 is nan, not 3"),
+        (waypoint(param1=math.inf), waypoint(param1=0), "param1 is 0, not inf"),
     ],
 )
 def test_differences_are_told_in_words(sent: MissionItem, there: MissionItem, words: str) -> None:
@@ -120,8 +120,8 @@ def test_whole_missions() -> None:
     sent = mission_items(6)
     there = [stored(item, 0) for item in sent]
     assert differences(sent, [there[0]._replace(x=0, y=0), *there[1:]]) == []  # home is the vehicle's own
-    assert differences(sent, there[:4]) == ["5 items after home were sent, 3 are on board"]
-    assert differences(sent[:4], there) == ["3 items after home were sent, 5 are on board"]
+    assert differences(sent, there[:4]) == ["3 items after home on board, not 5"]
+    assert differences(sent[:4], there) == ["5 items after home on board, not 3"]
     assert differences(sent[:1], []) == []
     swapped = [there[0], there[2], there[1], *there[3:]]
     assert [text.split(" ")[1] for text in differences(sent, swapped)] == ["1", "2"]

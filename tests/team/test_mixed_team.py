@@ -79,7 +79,7 @@ def test_a_mission_goes_on_without_a_missing_sample_and_says_which_it_is() -> No
     (missing,) = (record for record in team.ledger.samples if record.state == "lost")
     assert (outcome.complete, outcome.reason) == (
         False,
-        "all vehicles are done, but 1 samples are not home: "
+        "all vehicles are done, but 1 sample is not home: "
         f"{missing.sample.tag} from {missing.sample.node} (missing, last at {missing.holder})",
     )
     assert missing.history[-1].action is Action.DROP
