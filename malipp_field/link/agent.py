@@ -235,7 +235,7 @@ class Agent:
         """Publish confirmations in order, then acknowledge; what was not published will be repeated."""
         if not self.progress.known:
             return  # no step to tie it to yet
-        self._inbox.put(report)
+        self._inbox.put(report, self._clock.now_s())
         while (following := self._inbox.next()) is not None:
             self._script_says(following)
             self._inbox.accept()

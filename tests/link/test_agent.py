@@ -4,10 +4,11 @@ import random
 from typing import Any
 
 import pytest
-from agent_cases import ROUND, STOP, WORK_DONE, Yard, fly, mode_of
+from agent_cases import ROUND, STOP, WHERE, WORK_DONE, FakeBus, Yard, fly, mode_of
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from malipp_field.bus.messages import Confirmation, Event, Load, Start, Telemetry
+from malipp_field.link import Agent
 from malipp_field.link.compare import differences
 from malipp_field.sim import RoverConfig
 from malipp_field.vehicle.layout import lay_out
@@ -303,3 +304,24 @@ def test_messages_of_all_kinds_with_any_contents_are_survived() -> None:
         assert (await yard.order(Load(mission=yard.mission(*ROUND)))).ok
 
     Yard().run(scene)
+
+
+def test_a_second_mission_without_a_restart_of_the_vehicle_is_heard_as_well() -> None:
+    """The script counts on from the first mission; nobody repeats what another agent has acknowledged."""
+
+    async def first(yard: Yard) -> None:
+        await fly(yard, "drive a", "collect a 1", "drive base", "unload base 1")
+        await yard.until(lambda: yard.telemetry.finished)
+
+    async def second(yard: Yard) -> None:
+        await fly(yard, "drive b", "collect b 2", "drive base", "unload base 2")
+        await yard.until(lambda: yard.telemetry.finished)
+        assert yard.confirmed == [(1, "collect b 2", True), (2, "unload base 2", True)]
+        await yard.live(3.0)
+        assert yard.rover.autopilot.script.due(1e12) == []
+
+    yard = Yard()
+    yard.run(first)
+    yard.cut, yard.bus = False, FakeBus()
+    yard.agent = Agent("yard", "scout", WHERE, yard, yard.bus, yard.clock)
+    yard.run(second)

@@ -132,7 +132,7 @@ def test_refused_commands(result: int, at_s: float, words: str) -> None:
 def test_confirmations_come_out_in_order_and_once(order: list[int], repeats: list[int]) -> None:
     inbox, taken = ConfirmationInbox(), []
     for number in itertools.chain(order, repeats):
-        inbox.put(PayloadReport(number, Action.COLLECT, number, "ok"))
+        inbox.put(PayloadReport(number, Action.COLLECT, number, "ok"), 0.0)
         while (report := inbox.next()) is not None:
             taken.append(report.number)
             inbox.accept()
@@ -143,10 +143,37 @@ def test_confirmations_come_out_in_order_and_once(order: list[int], repeats: lis
 def test_a_script_that_counts_anew_is_believed() -> None:
     inbox = ConfirmationInbox()
     for number, tag in ((1, 10), (2, 11), (1, 10), (2, 30), (1, 29), (2, 30)):
-        inbox.put(PayloadReport(number, Action.DROP, tag, "ok"))
+        inbox.put(PayloadReport(number, Action.DROP, tag, "ok"), 0.0)
         while inbox.next() is not None:
             inbox.accept()
     assert inbox.heard == 2
+
+
+def test_a_script_in_mid_count_is_joined_where_it_stands() -> None:
+    """What it said before was acknowledged to an agent that is no more; the first of the rest is lost once."""
+    inbox, taken = ConfirmationInbox(), []
+    for second in range(12):
+        for number in (8, 7) if second else (8,):
+            inbox.put(PayloadReport(number, Action.COLLECT, number, "ok"), float(second))
+        while (report := inbox.next()) is not None:
+            taken.append((second, report.number))
+            inbox.accept()
+    assert taken == [(8, 7), (8, 8)]
+    assert inbox.heard == 8
+
+
+def test_a_late_word_of_a_script_before_its_restart_does_not_deafen_the_inbox() -> None:
+    inbox, taken = ConfirmationInbox(), []
+    old, new = (PayloadReport(2, Action.DROP, tag, "ok") for tag in (11, 21))
+    news = [PayloadReport(1, Action.DROP, 20, "ok"), new, old]
+    news += [PayloadReport(3, Action.DROP, 22, "ok")] * 12  # all it still repeats
+    for second, report in enumerate(news):
+        inbox.put(report, float(second))
+        while (found := inbox.next()) is not None:
+            taken.append(found.tag)
+            inbox.accept()
+    assert taken[:2] == [20, 21]
+    assert taken[-1] == 22
 
 
 WORK = VehicleMission(
