@@ -30,6 +30,7 @@ from malipp_field.link.channels import OnEvent, OnMessage, VehicleLink
 from malipp_field.link.confirmations import ConfirmationInbox
 from malipp_field.link.driver import TICK_S, Driver
 from malipp_field.link.exchange import MavMessage
+from malipp_field.link.mission_watch import MissionWatch
 from malipp_field.link.orders import Orders
 from malipp_field.link.progress import Progress
 from malipp_field.link.vehicle import STREAM_MESSAGES, Vehicle
@@ -128,6 +129,8 @@ class Agent:
         self._driver = Driver(self.vehicle, self._send, clock, where.own, beats_alone=not where.shared)
         self._orders = Orders(robot, self._driver, self.progress, self._person_says)
         self._inbox = ConfirmationInbox()
+        self._watch = MissionWatch(where.own)
+        self._emergency: asyncio.Task[Reply] | None = None
         self._published = 0
         self._awaits: Awaited | None = None
         self._began_s = clock.now_s()
@@ -157,8 +160,9 @@ class Agent:
                 self._tick(self._clock.now_s())
                 await self._clock.sleep(TICK_S)
         finally:
-            if self._order is not None:
-                self._order.cancel()
+            for task in (self._order, self._emergency):
+                if task is not None:
+                    task.cancel()
             self._connection.close()
 
     # The loop: what is due, and what arrives.
@@ -215,12 +219,26 @@ class Agent:
             return
         kind = message.get_msgId()
         self._streams_unheard.discard(kind)
+        suspicion = self._watch.suspicion(message, self.progress.mission, now_s)
+        if suspicion is not None:
+            self._distrust(suspicion)
         if kind == mavlink.MAVLINK_MSG_ID_MISSION_CURRENT:
             for step in self.progress.report(message.seq, self.vehicle.mission_complete):
                 self._passed(step)
         elif kind == mavlink.MAVLINK_MSG_ID_STATUSTEXT:
             self._text(message.severity, message.text)
         self._driver.receive(message, now_s)
+
+    def _distrust(self, why: str) -> None:
+        """Take the mission on board for unknown; a vehicle under way must not come to what is not ours."""
+        self.progress.forget()
+        self._event("error", f"somebody else changes the mission on board: {why}; it is not started any more")
+        driving = self.vehicle.armed and self.vehicle.mode == "AUTO"
+        if driving or self._order is not None:
+            hold = Command(
+                time_s=self._clock.now_s(), order=Hold(reason="its mission is not the verified one")
+            )
+            self._emergency = asyncio.create_task(self._answer(hold))
 
     def _text(self, severity: int, text: str) -> None:
         report = parse_confirmation(text)

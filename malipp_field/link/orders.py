@@ -8,6 +8,7 @@ from collections.abc import Callable
 
 from malipp_field.bus.messages import Confirm, Load, Order, Release, Start
 from malipp_field.errors import LinkError
+from malipp_field.link.compare import differences
 from malipp_field.link.driver import Driver
 from malipp_field.link.progress import Progress
 from malipp_field.link.replacement import replace_under_way, safe_until_s
@@ -17,7 +18,8 @@ from malipp_field.vehicle.steps import Action, Step, VehicleMission
 
 CONFIRMATION_LIMIT_S = 10 * REPEAT_S
 """How long to wait for the confirmation of a payload step that the vehicle has left behind."""
-
+VERIFIED_FOR_S = 30.0
+"""After so long a mission is read once more before the vehicle is set in motion: others can upload, too."""
 
 log = logging.getLogger(__name__)
 
@@ -40,6 +42,7 @@ class Orders:
     ) -> None:
         self._robot, self._driver, self._progress = robot, driver, progress
         self._confirmed = confirmed
+        self._verified_s = 0.0
 
     async def carry_out(self, order: Order) -> str:
         """Carry out an order and return what was done, in words.
@@ -75,7 +78,7 @@ class Orders:
             await self._make_stand(order)
         self._progress.forget()
         await self._driver.install(lay_out(mission).items)
-        self._progress.adopt(mission)
+        self._adopt(mission)
         if order.resume and under_way:
             await self._go(mission)
         return f"version {mission.version} is on board and verified"
@@ -104,9 +107,23 @@ class Orders:
         except LinkError as fault:
             log.info("%s: held for its new mission: %s", self._robot, fault)
             return False
-        self._progress.adopt(mission)
+        self._adopt(mission)
         self._progress.follow(item)
         return True
+
+    def _adopt(self, mission: VehicleMission) -> None:
+        self._progress.adopt(mission)
+        self._verified_s = self._driver.clock.now_s()
+
+    async def _verify_again(self, mission: VehicleMission) -> None:
+        """See that a mission verified some time ago is still the one on board."""
+        if self._driver.clock.now_s() < self._verified_s + VERIFIED_FOR_S:
+            return
+        found = differences(lay_out(mission).items, await self._driver.download())
+        if found:
+            self._progress.forget()
+            raise LinkError(f"the mission on board is not the verified one any more: {'; '.join(found)}")
+        self._verified_s = self._driver.clock.now_s()
 
     def _object_to(self, order: Load) -> None:
         objection = self._progress.objection(order.mission, order.diverges_at)
@@ -142,6 +159,7 @@ class Orders:
             raise LinkError(f"version {mission.version} is on board, not version {version}")
         if self._progress.in_force and vehicle.armed and vehicle.mode == "AUTO":
             return "under way already"
+        await self._verify_again(mission)
         if self._progress.under_way:
             await self._settle()
         await self._go(mission)

@@ -150,7 +150,7 @@ def test_a_script_that_counts_anew_is_believed() -> None:
 
 
 def test_a_script_in_mid_count_is_joined_where_it_stands() -> None:
-    """What it said before was acknowledged to an agent that is no more; the first of the rest is lost once."""
+    """What it said before was acknowledged to an agent that is no more; the first of the rest is lost."""
     inbox, taken = ConfirmationInbox(), []
     for second in range(12):
         for number in (8, 7) if second else (8,):
