@@ -85,7 +85,7 @@ class Driver:
     ) -> None:
         self.vehicle = vehicle
         self.own = own
-        self.heartbeats = Heartbeats(vehicle, own, alone=beats_alone)
+        self.heartbeats = Heartbeats(vehicle, own[0], alone=beats_alone)
         self.clock = clock
         self._send = send
         self._exchanges: dict[Exchange, _UnderWay] = {}

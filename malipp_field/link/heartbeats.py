@@ -23,22 +23,24 @@ class Heartbeats:
     ----------
     vehicle
         Which vehicle hears them.
-    own
-        System and component id as whom we speak.
+    own_system
+        System id as whom we speak.
     alone
         Whether nobody else of ours sends heartbeats on this link.
     """
 
-    def __init__(self, vehicle: Vehicle, own: tuple[int, int], *, alone: bool) -> None:
-        self._vehicle, self._own, self._alone = vehicle, own, alone
+    def __init__(self, vehicle: Vehicle, own_system: int, *, alone: bool) -> None:
+        self._vehicle, self._own_system, self._alone = vehicle, own_system, alone
         self._until_s = math.inf
         self._rival_s = -math.inf
 
     def overhear(self, message: MavMessage, now_s: float) -> None:
-        """Take in any message of the link: others may speak with our system id, and then count as we do."""
-        if message.get_msgId() != mavlink.MAVLINK_MSG_ID_HEARTBEAT:
-            return
-        if message.get_srcSystem() == self._own[0] and message.get_srcComponent() != self._own[1]:
+        """Take in any message of the link: others may speak with our system id, and then count as we do.
+
+        QGroundControl is 255/190 of its own accord, as we are; our own heartbeats do not come back to us.
+        """
+        beat = message.get_msgId() == mavlink.MAVLINK_MSG_ID_HEARTBEAT
+        if beat and message.get_srcSystem() == self._own_system:
             self._rival_s = now_s
 
     def are_all_it_hears(self, now_s: float) -> bool:

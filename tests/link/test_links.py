@@ -68,6 +68,18 @@ def test_vehicles_on_one_radio_share_its_wire_and_hear_each_its_own() -> None:
     run(scene)
 
 
+def test_heartbeats_of_our_system_id_reach_all_who_speak_as_that() -> None:
+    """Whoever else feeds a vehicle's failsafe must be known to its agent; nothing else of strangers is."""
+
+    async def scene(ground: Ground) -> None:
+        await asyncio.gather(ground.channel(1), ground.channel(2))
+        (wire,) = ground.opener.wires
+        wire.ends.received(said_by(255) + said_by(255, count(3)) + said_by(254), None)
+        assert sorted(ground.heard) == [(1, "HEARTBEAT"), (2, "HEARTBEAT")]
+
+    run(scene)
+
+
 def test_what_nobody_wants_is_not_decoded_and_a_handler_that_fails_ends_nothing() -> None:
     async def scene(ground: Ground) -> None:
         channel = await ground.channel(7, skip=frozenset({mavlink.MAVLINK_MSG_ID_VFR_HUD}))
@@ -416,3 +428,13 @@ def test_a_wrong_url_is_refused_where_it_stands(link: str, problem: str) -> None
 def test_urls_come_back_as_they_were(text: str) -> None:
     assert str(parse_link_url(text)) == text
     assert "[" not in parse_link_url(text).place
+
+
+@pytest.mark.parametrize(("other", "shared"), [("udpin:0.0.0.0:14550", True), ("udpin:0.0.0.0:14551", False)])
+def test_vehicles_of_one_link_know_that_they_share_it(tmp_path: Path, other: str, shared: bool) -> None:
+    text = MISSION.replace("LINK", "udpin:0.0.0.0:14550")
+    mission = parse_mission(text.replace("vehicles:\n", f"vehicles:\n  scout: {{link: '{other}'}}\n"))
+    with KeyRing() as keys:
+        make_key_file(tmp_path / "keys" / "carrier.key")
+        found = [vehicle_link(mission, robot, tmp_path, keys).shared for robot in ("scout", "carrier")]
+    assert found == [shared, shared]

@@ -199,7 +199,7 @@ def test_driving_time_is_counted_at_the_highest_speed_from_where_it_may_be_by_no
 
 def test_heartbeats_stop_at_the_deadline_and_until_the_vehicle_has_left_auto() -> None:
     rover = Vehicle(SYSTEM)
-    beats = Heartbeats(rover, (255, 190), alone=True)
+    beats = Heartbeats(rover, 255, alone=True)
     rover.mode = "AUTO"
     assert beats.allowed(10.0)
     beats.only_until(20.0)
@@ -219,13 +219,13 @@ def test_heartbeats_stop_at_the_deadline_and_until_the_vehicle_has_left_auto() -
     [
         (lambda: framed(mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3), 255, 230), True),
         (lambda: framed(mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3), 245, 190), False),
-        (lambda: framed(mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3), 255, 190), False),
+        (lambda: framed(mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3), 255, 190), True),
         (lambda: framed(mavlink.MAVLink_mission_current_message(1), 255, 230), False),
     ],
 )
 def test_who_else_feeds_the_failsafe(say: Callable[[], object], theirs: bool) -> None:
-    beats = Heartbeats(Vehicle(SYSTEM), (255, 190), alone=True)
+    beats = Heartbeats(Vehicle(SYSTEM), 255, alone=True)
     beats.overhear(say(), 100.0)
     assert beats.are_all_it_hears(109.0) is not theirs
     assert beats.are_all_it_hears(110.0)
-    assert not Heartbeats(Vehicle(SYSTEM), (255, 190), alone=False).are_all_it_hears(110.0)
+    assert not Heartbeats(Vehicle(SYSTEM), 255, alone=False).are_all_it_hears(110.0)
