@@ -23,9 +23,9 @@ class Outbox(Generic[SenderT]):
     """Messages in the order in which they are to be sent, each with who sends it.
 
     A heartbeat or a request for telemetry takes the place of an older one that still waits, and so does a
-    message that says the same as one that waits. A heartbeat that has waited for a second is left out: it
-    speaks for the moment, and whoever stops them must know when the last one goes. Nothing else is ever left
-    out.
+    message that says the same as one that waits, unless it is a command: HOLD, AUTO, HOLD ends in HOLD. A
+    heartbeat that has waited for a second is left out: it speaks for the moment, and whoever stops them must
+    know when the last one goes. Nothing else is ever left out.
 
     Attributes
     ----------
@@ -72,6 +72,7 @@ def _subject(message: MavMessage) -> Hashable:
     kind = int(message.get_msgId())
     if kind == mavlink.MAVLINK_MSG_ID_HEARTBEAT:
         return kind
-    if kind == mavlink.MAVLINK_MSG_ID_COMMAND_LONG and message.command in _REQUESTS:
-        return kind, int(message.command), float(message.param1)
+    if kind == mavlink.MAVLINK_MSG_ID_COMMAND_LONG:
+        asked = (kind, int(message.command), float(message.param1))
+        return asked if message.command in _REQUESTS else object()
     return kind, str([getattr(message, name) for name in message.fieldnames])

@@ -68,6 +68,21 @@ def test_vehicles_on_one_radio_share_its_wire_and_hear_each_its_own() -> None:
     run(scene)
 
 
+def test_of_orders_that_wait_the_last_one_said_is_the_last_one_sent() -> None:
+    """HOLD, AUTO, HOLD ends in HOLD, although the first and the last say the same."""
+
+    async def scene(ground: Ground) -> None:
+        channel = await ground.channel(7)
+        wire = ground.opener.last
+        wire.ready = False
+        for mode in (4, 10, 4):
+            channel.send(mavlink.MAVLink_command_long_message(7, 1, 176, 0, 1, mode, 0, 0, 0, 0, 0))
+        wire.drain()
+        assert [message.param2 for message in wire.messages] == [4, 10, 4]
+
+    run(scene)
+
+
 def test_heartbeats_of_our_system_id_reach_all_who_speak_as_that() -> None:
     """Whoever else feeds a vehicle's failsafe must be known to its agent; nothing else of strangers is."""
 
