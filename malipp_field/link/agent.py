@@ -46,6 +46,7 @@ STREAMS_HZ = {
     mavlink.MAVLINK_MSG_ID_MISSION_CURRENT: 5.0,
     mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT: 1.0,
     mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: 1.0,
+    mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: 0.5,
 }
 """Messages an ArduPilot does not send, or seldom, unless it is asked for them."""
 

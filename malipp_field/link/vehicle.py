@@ -64,6 +64,9 @@ class Vehicle:
         MISSION_CURRENT: the item being carried out.
     mission_complete : bool
         MISSION_CURRENT: all items are done.
+    clock_ahead_s : float or None
+        The vehicle's clock (UTC) less ours, as of its last report and no more exact than the link is quick; None
+        while it does not know the time.
     heartbeats, mission_reports : int
         How many HEARTBEAT and MISSION_CURRENT have arrived, to tell fresh news from old.
     """
@@ -82,6 +85,7 @@ class Vehicle:
         self.energy_used_j = 0.0
         self.current_seq: int | None = None
         self.mission_complete = False
+        self.clock_ahead_s: float | None = None
         self.heartbeats = 0
         self.mission_reports = 0
         self.last_heartbeat_s: float | None = None
@@ -98,7 +102,9 @@ class Vehicle:
     @property
     def heeded(self) -> frozenset[int]:
         """Ids of the messages that this state is made of; all of them must be decoded."""
-        return frozenset(self._handlers) | {mavlink.MAVLINK_MSG_ID_HEARTBEAT}
+        return frozenset(self._handlers) | {
+            mavlink.MAVLINK_MSG_ID_HEARTBEAT, mavlink.MAVLINK_MSG_ID_SYSTEM_TIME,
+        }  # fmt: skip
 
     def link_ok(self, now_s: float) -> bool:
         """Return whether a heartbeat arrived within the last `HEARTBEAT_LOST_S` seconds."""
@@ -112,6 +118,9 @@ class Vehicle:
             self._heartbeat(message, now_s)
         if message.get_msgId() == mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT:
             self.position_s = now_s
+        if message.get_msgId() == mavlink.MAVLINK_MSG_ID_SYSTEM_TIME:
+            unix_s = message.time_unix_usec / 1e6
+            self.clock_ahead_s = unix_s - now_s if unix_s > 0.0 else None
         handler = self._handlers.get(message.get_msgId())
         if handler is not None:
             handler(message)

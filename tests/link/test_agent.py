@@ -271,7 +271,7 @@ def test_what_the_agent_says_unasked() -> None:
         assert {(beat.get_srcSystem(), beat.get_srcComponent()) for beat in beats} == {(255, 190)}
         assert 45 <= len(yard.bus.of(Telemetry)) <= 60
         asked = {m.param1 for m in yard.heard if m.get_type() == "COMMAND_LONG" and m.command == 511}
-        assert asked == {33.0, 42.0, 193.0, 147.0}
+        assert asked == {2.0, 33.0, 42.0, 147.0, 193.0}
         yard.rover.autopilot.say(mavlink.MAV_SEVERITY_WARNING, "PreArm: Compass not calibrated")
         yard.rover.autopilot.say(mavlink.MAV_SEVERITY_INFO, "Barometer 1 calibration complete")
         await yard.live(0.5)
