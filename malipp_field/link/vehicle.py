@@ -65,8 +65,8 @@ class Vehicle:
     mission_complete : bool
         MISSION_CURRENT: all items are done.
     clock_ahead_s : float or None
-        The vehicle's clock (UTC) less ours, as of its last report and no more exact than the link is quick; None
-        while it does not know the time.
+        The vehicle's clock (UTC) less ours, as of its last report and no more exact than the link is quick;
+        None while it does not know the time.
     heartbeats, mission_reports : int
         How many HEARTBEAT and MISSION_CURRENT have arrived, to tell fresh news from old.
     """

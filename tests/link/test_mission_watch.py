@@ -24,15 +24,15 @@ async def upload(yard: Yard, *work: str) -> None:
     answers = exchange.start(yard.clock.now_s())
 
     def overhear(message: object) -> None:
-        answers.extend(exchange.receive(message, yard.clock.now_s()))  # type: ignore[arg-type]
-        hear(message)  # type: ignore[arg-type]
+        answers.extend(exchange.receive(message, yard.clock.now_s()))
+        hear(message)
 
-    yard._on_message = overhear  # type: ignore[method-assign, assignment]
+    yard._on_message = overhear
     while not exchange.ended:
         while answers:
             yard.rover.receive(framed(answers.pop(0), *STRANGER), "stranger", yard.clock.now_s())
         await yard.live()
-    yard._on_message = hear  # type: ignore[method-assign]
+    yard._on_message = hear
     assert exchange.done
 
 
