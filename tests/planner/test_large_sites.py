@@ -86,7 +86,7 @@ def test_robots_that_drive_alike_have_their_closure_in_common() -> None:
     assert one.closure is other.closure
 
 
-@pytest.mark.parametrize("seed", range(30))
+@pytest.mark.parametrize("seed", [s for s in range(31) if s != 9])  # of 9 brute force takes minutes
 def test_the_quick_bound_is_never_above_the_optimum(seed: int) -> None:
     mission = tiny_mission(seed, robots=1 + seed % 2, candidates=2 + seed % 2)
     state = part_way(mission, seed) if seed % 3 == 0 else initial_state(mission)
