@@ -136,9 +136,10 @@ class Orders:
             raise LinkError("the vehicle does not know the time of day, and its mission has gates by time")
         ahead_s = vehicle.clock_ahead_s or 0.0
         if abs(ahead_s) > CLOCK_LIMIT_S:
+            side = "ahead of" if ahead_s > 0.0 else "behind"
             raise LinkError(
-                f"its clock is {abs(ahead_s):.0f} s {'ahead of' if ahead_s > 0.0 else 'behind'} this "
-                "computer's: gates by time would open at another; set this computer's clock (UTC)"
+                f"its clock is {abs(ahead_s):.0f} s {side} this computer's: gates by time would open at "
+                "another; set this computer's clock (UTC)"
             )
 
     def _object_to(self, order: Load) -> None:

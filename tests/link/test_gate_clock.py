@@ -14,14 +14,9 @@ WORK = ("drive a", "wait a 1", "pick a 1", "drive base")
 
 def gated(yard: Yard) -> VehicleMission:
     """Return a mission whose gate opens by itself in ten minutes."""
-    mission = yard.mission(*WORK)
-    steps = [
-        step.model_copy(update={"not_before_s": yard.clock.now_s() + 600.0})
-        if step.action == "wait"
-        else step
-        for step in mission.steps
-    ]
-    return mission.model_copy(update={"steps": tuple(steps)})
+    drive, wait, *rest = yard.mission(*WORK).steps
+    wait = wait.model_copy(update={"not_before_s": yard.clock.now_s() + 600.0})
+    return yard.mission(*WORK).model_copy(update={"steps": (drive, wait, *rest)})
 
 
 @pytest.mark.parametrize(
