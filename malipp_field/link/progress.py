@@ -1,8 +1,8 @@
 """Which steps are done, and which is being carried out; no I/O.
 
 "Reached" proves nothing: a payload step is done when the payload script or a person has confirmed it, a drive
-or a wait when MISSION_CURRENT has moved past it while the mission on board was verified. For an action of
-hardware that cannot speak that has to do as well, seen twice.
+or a wait when MISSION_CURRENT has moved past it, seen twice, while the mission on board was verified. For an
+action of hardware that cannot speak that has to do as well.
 """
 
 from __future__ import annotations
@@ -109,14 +109,14 @@ class Progress:
     def report(self, seq: int, complete: bool) -> list[Step]:
         """Take in MISSION_CURRENT; at item 0 the vehicle is at no step.
 
+        It takes two reports in a row for anything to be done: a single one may have been under way for long.
         A payload step without its confirmation stops the count: what is said to lie behind it is either a
         stale index or a vehicle that passes over its work.
 
         Returns
         -------
         list of Step
-            Payload steps not noted as done that are confirmed by the vehicle's having gone past them. It
-            takes two reports in a row: a single one may have been under way for long.
+            Payload steps not noted as done that are confirmed by the vehicle's having gone past them.
         """
         mission, layout = self.mission, self._layout
         if mission is None or layout is None or not self.in_force:
@@ -125,12 +125,12 @@ class Progress:
             return []
         before, passed = self._index, []
         self._index, self._item = (len(mission.steps), 0) if complete else (layout.steps[seq], seq)
-        for index, step in enumerate(mission.steps[: self._index]):
+        for step in mission.steps[: min(before, self._index)]:
             if step.action in _PASSED_BY:
                 self.done.add(step.uid)
             elif step.uid in self.done:
                 continue
-            elif index < before and confirmed_by(mission, step) == "progress":
+            elif confirmed_by(mission, step) == "progress":
                 passed.append(step)
             else:
                 break

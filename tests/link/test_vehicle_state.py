@@ -194,18 +194,21 @@ def under_way() -> Progress:
 
 def test_drives_are_done_when_passed_and_work_when_confirmed() -> None:
     progress = under_way()
-    progress.report(3, complete=False)
+    for _ in range(2):
+        progress.report(3, complete=False)
     assert progress.done == {"drive/1/0"}
     assert [s.uid for s in progress.unconfirmed()] == ["collect/1/5"]
     assert progress.first_undone(WORK) == 1
     confirmed = progress.step_of(PayloadReport(1, Action.COLLECT, 5, "ok"))
     assert confirmed == WORK.steps[1]
     progress.done.add(confirmed.uid)
-    progress.report(5, complete=False)
+    for _ in range(2):
+        progress.report(5, complete=False)
     assert progress.first_undone(WORK) == 4
     assert not progress.finished
     progress.done.add("pick/2/6")
-    progress.report(6, complete=True)
+    for _ in range(2):
+        progress.report(6, complete=True)
     assert progress.finished
     assert progress.current is None
 
@@ -214,12 +217,26 @@ def test_a_stale_index_cannot_count_work_as_done() -> None:
     progress = under_way()
     progress.report(99, complete=False)  # of a longer mission that was here before
     assert progress.current == WORK.steps[0]
-    progress.report(6, complete=True)
+    for _ in range(2):
+        progress.report(6, complete=True)
     assert progress.done == {"drive/1/0"}
     progress.report(0, complete=False)  # at no item at all
     progress.forget()
     progress.report(6, complete=False)
     assert progress.done == {"drive/1/0"}
+
+
+def test_a_single_late_report_opens_no_gate() -> None:
+    """Held and resumed after it, the vehicle would go past the gate and pick too early."""
+    progress, gated = Progress(), WORK.model_copy(update={"steps": WORK.steps[2:]})
+    progress.adopt(gated)
+    progress.follow(1)
+    progress.report(4, complete=False)  # under way since an earlier mission, or an earlier index
+    progress.report(1, complete=False)
+    progress.report(1, complete=True)
+    progress.report(2, complete=False)
+    assert progress.done == {"drive/2/0"}
+    assert progress.resumption(gated) == 2
 
 
 def test_confirmation_of_what_no_mission_has() -> None:
@@ -255,7 +272,8 @@ def test_progress_survives_any_order_of_reports(seed: int) -> None:
         progress.report(seq, complete=False)
         assert progress.done <= {"drive/1/0"}
     progress.done |= {"collect/1/5", "pick/2/6"}
-    progress.report(6, complete=True)
+    for _ in range(2):
+        progress.report(6, complete=True)
     assert progress.finished
 
 
