@@ -6,7 +6,7 @@ import contextlib
 import logging
 from collections.abc import Callable
 
-from malipp_field.bus.messages import Confirm, Load, Order, Release, Start
+from malipp_field.bus.messages import Confirm, Hold, Load, Order, Release, Start
 from malipp_field.errors import LinkError
 from malipp_field.link.compare import differences
 from malipp_field.link.driver import EFFECT_LIMIT_S, Driver
@@ -54,6 +54,9 @@ class Orders:
         LinkError
             When it must not be done, or could not.
         """
+        if isinstance(order, Hold):  # even a vehicle that is not heard may hear us
+            await self._driver.enter("HOLD")
+            return "holding"
         await self._driver.hear()
         if isinstance(order, Load):
             return await self._load(order)
@@ -61,10 +64,7 @@ class Orders:
             return await self._start(order.version)
         if isinstance(order, Release):
             return await self._release(order.uid)
-        if isinstance(order, Confirm):
-            return await self._confirm(order)
-        await self._driver.enter("HOLD")
-        return "holding"
+        return await self._confirm(order)
 
     async def _load(self, order: Load) -> str:
         mission, vehicle = order.mission, self._driver.vehicle

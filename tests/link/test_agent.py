@@ -325,3 +325,17 @@ def test_a_second_mission_without_a_restart_of_the_vehicle_is_heard_as_well() ->
     yard.cut, yard.bus = False, FakeBus()
     yard.agent = Agent("yard", "scout", WHERE, yard, yard.bus, yard.clock)
     yard.run(second)
+
+
+def test_a_vehicle_that_is_not_heard_is_told_to_hold_all_the_same() -> None:
+    """It may hear us: radios fail in one direction, too."""
+
+    async def scene(yard: Yard) -> None:
+        await fly(yard, *ROUND)
+        yard.deaf = True
+        await yard.live(10.0)
+        reply = await yard.order(STOP)
+        assert not reply.ok
+        assert mode_of(yard) == mavlink.ROVER_MODE_HOLD
+
+    Yard().run(scene)
