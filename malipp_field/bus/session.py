@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import json
 import logging
+import re
 from collections.abc import Awaitable, Callable
 from types import TracebackType
 from typing import Any, TypeVar
@@ -73,7 +74,8 @@ class Bus:
         try:
             self._session = await asyncio.to_thread(zenoh.open, self._config)
         except zenoh.ZError as fault:
-            raise LinkError(f"the bus cannot be opened: {fault}") from None
+            words = re.sub(r" at /\S+\.rs:\d+\.?", "", str(fault))  # where in Zenoh's source code
+            raise LinkError(f"the bus cannot be opened: {words}") from None
         return self
 
     async def __aexit__(
