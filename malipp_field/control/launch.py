@@ -9,6 +9,7 @@ from malipp_field.control.dispatch import Dispatch
 from malipp_field.control.tracks import Track
 from malipp_field.mission import Mission
 from malipp_field.plan import Plan
+from malipp_field.vehicle.check import check
 from malipp_field.vehicle.compile import compile_plan
 from malipp_field.vehicle.steps import VehicleMission
 
@@ -25,9 +26,13 @@ async def load_first(
 ) -> tuple[float, dict[str, str]]:
     """Load the first missions; return when mission time 0 is (now, on the team's clock), and the refusals.
 
+    What the check before an upload finds to be wrong is a refusal, before anything is sent.
     Gates that open by time must know mission time 0 beforehand. Where loading takes longer than foreseen,
     they are told anew: else they would open too early.
     """
+    faults = _faults(mission, plan, clock.now_s())
+    if faults:
+        return clock.now_s(), faults
     if not any(step.not_before_s is not None for m in busy(tracks).values() for step in m.steps):
         refusals = await dispatch.load(busy(tracks))
         return clock.now_s(), refusals
@@ -43,3 +48,14 @@ async def load_first(
             await clock.sleep(0.0 if refusals else early_s)
             return start_s, refusals
         allowed_s = 2.0 * (allowed_s - early_s)
+
+
+def _faults(mission: Mission, plan: Plan, start_s: float) -> dict[str, str]:
+    """Return what is wrong with the missions, the first fault of each vehicle (or of the team)."""
+    found: dict[str, str] = {}
+    for finding in check(mission, plan, start_s):
+        if finding.severity == "error":
+            found.setdefault(
+                finding.robot or "team", f"not to be uploaded: {finding.problem}; {finding.remedy}"
+            )
+    return found
