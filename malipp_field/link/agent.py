@@ -187,9 +187,11 @@ class Agent:
             self._publish("telemetry", self._telemetry(now_s))
 
     def _due(self, what: str, interval_s: float, now_s: float) -> bool:
-        if now_s < self._due_s[what]:
+        due_s = self._due_s[what]
+        if now_s < due_s:
             return False
-        self._due_s[what] = now_s + interval_s
+        # On its beat, so that ticks that come late do not slow the rate; after a gap it begins anew.
+        self._due_s[what] = (due_s if now_s - due_s < interval_s else now_s) + interval_s
         return True
 
     def _watch_link(self, now_s: float) -> None:

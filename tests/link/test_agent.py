@@ -9,6 +9,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from malipp_field.bus.messages import Confirmation, Event, Load, Start, Telemetry
 from malipp_field.link import Agent
+from malipp_field.link.agent import TELEMETRY_S
 from malipp_field.link.compare import differences
 from malipp_field.sim import RoverConfig
 from malipp_field.vehicle.layout import lay_out
@@ -30,6 +31,20 @@ def test_the_whole_way_on_a_good_link() -> None:
         seen = list(dict.fromkeys(t.step_uid for t in yard.bus.of(Telemetry)))
         assert seen == [None, *ROUND]
         assert (await yard.order(Start())).ok  # nothing is left to do
+
+    Yard().run(scene)
+
+
+def test_ticks_that_come_late_do_not_slow_telemetry() -> None:
+    """Every tick takes half as long again as it should."""
+
+    async def scene(yard: Yard) -> None:
+        on_time = yard.clock.sleep
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(yard.clock, "sleep", lambda duration_s: on_time(1.5 * duration_s))
+            before = len(yard.bus.of(Telemetry))
+            await yard.live(20.0)
+        assert 20.0 / TELEMETRY_S - 2 <= len(yard.bus.of(Telemetry)) - before <= 20.0 / TELEMETRY_S + 2
 
     Yard().run(scene)
 
