@@ -443,13 +443,3 @@ def test_a_wrong_url_is_refused_where_it_stands(link: str, problem: str) -> None
 def test_urls_come_back_as_they_were(text: str) -> None:
     assert str(parse_link_url(text)) == text
     assert "[" not in parse_link_url(text).place
-
-
-@pytest.mark.parametrize(("other", "shared"), [("udpin:0.0.0.0:14550", True), ("udpin:0.0.0.0:14551", False)])
-def test_vehicles_of_one_link_know_that_they_share_it(tmp_path: Path, other: str, shared: bool) -> None:
-    text = MISSION.replace("LINK", "udpin:0.0.0.0:14550")
-    mission = parse_mission(text.replace("vehicles:\n", f"vehicles:\n  scout: {{link: '{other}'}}\n"))
-    with KeyRing() as keys:
-        make_key_file(tmp_path / "keys" / "carrier.key")
-        found = [vehicle_link(mission, robot, tmp_path, keys).shared for robot in ("scout", "carrier")]
-    assert found == [shared, shared]
