@@ -16,6 +16,7 @@ from malipp_field.bus.messages import (
     Confirmation,
     Event,
     Hold,
+    Load,
     Message,
     Order,
     Reply,
@@ -131,7 +132,7 @@ class Agent:
         self._orders = Orders(robot, self._driver, self.progress, self._person_says)
         self._inbox = ConfirmationInbox()
         self._watch = MissionWatch(where.own)
-        self._emergency: asyncio.Task[Reply] | None = None
+        self._emergency: asyncio.Task[None] | None = None
         self._published = 0
         self._awaits: Awaited | None = None
         self._began_s = clock.now_s()
@@ -141,6 +142,7 @@ class Agent:
         self._turn = asyncio.Lock()
         self._holds = 0
         self._order: asyncio.Task[str] | None = None
+        self._loading = False
 
     async def run(self) -> None:
         """Serve until cancelled.
@@ -236,12 +238,17 @@ class Agent:
         """Take the mission on board for unknown; a vehicle under way must not come to what is not ours."""
         self.progress.forget()
         self._event("error", f"somebody else changes the mission on board: {why}; it is not started any more")
+        self._emergency = asyncio.create_task(self._hold_unless_loaded())
+
+    async def _hold_unless_loaded(self) -> None:
+        """Hold a vehicle without a verified mission; a load under way does so itself, and may put it right."""
+        if self._loading:
+            async with self._turn:
+                pass
         driving = self.vehicle.armed and self.vehicle.mode == "AUTO"
-        if driving or self._order is not None:
-            hold = Command(
-                time_s=self._clock.now_s(), order=Hold(reason="its mission is not the verified one")
-            )
-            self._emergency = asyncio.create_task(self._answer(hold))
+        if self.progress.mission is None and (driving or self._order is not None):
+            hold = Hold(reason="its mission is not the verified one")
+            await self._answer(Command(time_s=self._clock.now_s(), order=hold))
 
     def _text(self, severity: int, text: str) -> None:
         report = parse_confirmation(text)
@@ -367,6 +374,7 @@ class Agent:
     async def _carry_out(self, order: Order) -> Reply:
         task = asyncio.create_task(self._orders.carry_out(order))
         self._order = None if isinstance(order, Hold) else task
+        self._loading = isinstance(order, Load)
         try:
             text = await task
         except LinkError as fault:
@@ -378,7 +386,7 @@ class Agent:
                 return self._reply(ok=False, text="broken off by a hold, or by the end of the agent")
             raise
         finally:
-            self._order = None
+            self._order, self._loading = None, False
         if isinstance(order, Hold):
             self._event("info", f"holding: {order.reason}")
         return self._reply(ok=True, text=text)

@@ -121,3 +121,16 @@ def test_what_is_no_sign_of_another_mission() -> None:
     for message in (ours, fence, refusal, silent, silent, silent, silent, late, right, late, late, unknown):
         assert watch.suspicion(message, mission, 100.0) is None
     assert watch.suspicion(ours, mission, 115.0), "a ground station of our own ids"
+
+
+def test_a_load_that_is_refused_meanwhile_leaves_nothing_driving_what_is_not_ours() -> None:
+    async def scene(yard: Yard) -> None:
+        await fly(yard, *ROUND)
+        await yard.until(lambda: yard.telemetry.step_uid == "drive b")
+        load = yard.begin(Load(mission=yard.mission("drive a", version=2)))  # without the leg it is on
+        yard.agent._distrust("a test says so")
+        await yard.until(load.done)
+        assert not load.result().ok
+        await yard.until(lambda: mode_of(yard) == HOLD, limit_s=3.0)
+
+    Yard().run(scene)
