@@ -241,7 +241,7 @@ class Agent:
         self._emergency = asyncio.create_task(self._hold_unless_loaded())
 
     async def _hold_unless_loaded(self) -> None:
-        """Hold a vehicle without a verified mission; a load under way does so itself, and may put it right."""
+        """Hold a vehicle without a verified mission; a load under way does it and may put it right."""
         if self._loading:
             async with self._turn:
                 pass
