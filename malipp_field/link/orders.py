@@ -204,6 +204,8 @@ class Orders:
         index = None if mission is None else mission.index_of(uid)
         if mission is None or index is None:
             raise LinkError(f"no verified mission on board has a step {uid}")
+        if current is not None and (mission.index_of(current.uid) or 0) > index:
+            await self._driver.hear_index()  # one report says that it is passed, which may be a late one
         if uid in self._progress.done:
             return "passed already"
         if mission.steps[index].action is not Action.WAIT or index + 1 == len(mission.steps):

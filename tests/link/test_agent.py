@@ -86,10 +86,7 @@ def test_only_a_verified_mission_is_started() -> None:
         store._store = lambda item: honest(item._replace(param1=item.param1 + 1))  # type: ignore[method-assign]
         reply = await yard.order(Load(mission=yard.mission(*ROUND, version=2)))
         assert not reply.ok
-        assert (
-            "item 1 (NAV_WAYPOINT): param1 sent 0, on board 1; "
-            in reply.text.replace(": item", "; item") + "; "
-        )
+        assert "item 1 (NAV_WAYPOINT): param1 is 1, not 0; " in reply.text.replace(": item", "; item") + "; "
         assert yard.telemetry.mission_version is None
         assert store.items == []  # a mixed mission was not left behind
         assert not (await yard.order(Start())).ok

@@ -172,6 +172,7 @@ def test_what_the_script_says_twice_under_two_numbers_is_published_once() -> Non
         await yard.until(lambda: yard.telemetry.step_uid == "drive base")
         yard.rover.autopilot.set_current(3, reset=False)  # somebody has it do its work again
         await yard.until(lambda: yard.telemetry.finished)
+        await yard.live(1.0)  # for the last acknowledgement to arrive
         assert yard.confirmed == [(1, "collect a 1", True), (2, "unload base 1", True)]
         assert max(m.value for m in yard.heard if m.get_type() == "NAMED_VALUE_INT") == 3
 

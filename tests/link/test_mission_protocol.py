@@ -340,7 +340,7 @@ def test_a_fence_without_home_is_compared_from_its_first_item() -> None:
     moved = [corners(3)[0]._replace(x=350000000), *corners(3)[1:]]
     assert differences(moved, corners(3)) == []
     (found,) = differences(moved, corners(3), home=False)
-    assert found.startswith("item 0 (NAV_FENCE_POLYGON_VERTEX_INCLUSION): the place on board is")
+    assert found.startswith("item 0 (NAV_FENCE_POLYGON_VERTEX_INCLUSION): its place is")
 
 
 def read(name: str, value: float, index: int = 0) -> Any:
