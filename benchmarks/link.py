@@ -39,7 +39,8 @@ _TRANSFER_HEADS = (
 _TRANSFER_WORDS = """\
 *Loopback*: the clients take turns. *Late*: each datagram takes {delay_ms:.0f} ms. *Poor*: as late, and with a
 probability of {loss:.0%} lost, both ways; run n of either client has the same seed. The rover asks for an
-item again after 1 s and gives up after 8 s, as ArduPilot does. Times are medians of completed runs."""
+item again after 1 s and gives up after 8 s, as ArduPilot does; a stall of the machine can have the
+effect of loss. Times are medians of completed runs."""
 _PACKAGES = ("mavsdk", "pymavlink", "eclipse-zenoh", "pydantic")
 _COST_HEADS = (
     "load", "vehicles", "frames of each, 1/s", "heard", "telemetry, 1/s", "core for each",
@@ -58,9 +59,12 @@ process has it from the bus. *Longest wait*: of somebody whose turn it was in th
 CLIENTS = (by_us, by_mavsdk)
 
 
-async def uploads(options: argparse.Namespace) -> list[Transfer]:
-    """Measure on loopback in turns, then on each of the other links all runs at once."""
-    items, found = mission_of(options.items), []
+async def uploads(options: argparse.Namespace) -> tuple[list[Transfer], dict[str, float]]:
+    """Measure on loopback in turns, then on each of the other links all runs at once.
+
+    Also returns the longest stall of the rovers' process, by link.
+    """
+    items, found, stalls_s = mission_of(options.items), [], {}
     arguments = ("--slow-repeats", options.slow_repeats, "--loss", options.loss, "--delay", options.delay)
     async with child("rovers", *arguments) as rovers:
         ports = json.loads(await rovers.readline())
@@ -68,6 +72,7 @@ async def uploads(options: argparse.Namespace) -> list[Transfer]:
             for client in CLIENTS:
                 result = await client(ports["r0"]["loopback"], 1, items, "loopback")
                 found += [result] if repeat else []  # the first of each loads code
+        stalls_s["loopback"] = json.loads(await rovers.ask())
         for link in ("late", "poor"):
             # Each run has a rover of its own; relays 2k and 2k + 1 lose the same.
             runs = [
@@ -77,7 +82,8 @@ async def uploads(options: argparse.Namespace) -> list[Transfer]:
             for ready in asyncio.as_completed(runs):
                 found.append(await ready)
                 print(found[-1], file=sys.stderr)
-    return found
+            stalls_s[link] = json.loads(await rovers.ask())
+    return found, stalls_s
 
 
 @dataclass(frozen=True)
@@ -163,7 +169,12 @@ async def child(*arguments: object) -> AsyncIterator[Child]:
 # The page.
 
 
-def page(options: argparse.Namespace, transfers: Sequence[Transfer], measured: Sequence[Cost]) -> str:
+def page(
+    options: argparse.Namespace,
+    transfers: Sequence[Transfer],
+    stalls_s: dict[str, float],
+    measured: Sequence[Cost],
+) -> str:
     """Return the page as Markdown."""
     packages = ", ".join(f"{name} {version(name)}" for name in _PACKAGES)
     gave_up = [
@@ -180,7 +191,9 @@ def page(options: argparse.Namespace, transfers: Sequence[Transfer], measured: S
         f"- load average at the end, other work included: {os.getloadavg()[0]:.1f}", "",
         f"## A mission of {options.items} items, uploaded and read back", "",
         *table(_TRANSFER_HEADS, _transfer_lines(transfers)), "",
-        *gave_up, *([""] if gave_up else []),
+        *gave_up,
+        "- longest stall of the rovers' process, by the other work of the machine: "
+        + ", ".join(f"{link} {stall_s:.2f} s" for link, stall_s in stalls_s.items()), "",
         _TRANSFER_WORDS.format(delay_ms=1000 * options.delay, loss=options.loss), "",
         "## What agents take", "",
         *table(_COST_HEADS, map(_cost_line, measured)), "",
@@ -244,7 +257,7 @@ def main() -> int:
     if options.role is not None:
         asyncio.run(ROLES[options.role](options))
         return 0
-    text = page(options, asyncio.run(uploads(options)), asyncio.run(costs(options)))
+    text = page(options, *asyncio.run(uploads(options)), asyncio.run(costs(options)))
     print(text)
     if options.write:
         (ROOT / "link.md").write_text(text, encoding="utf-8")

@@ -105,7 +105,26 @@ async def run_rovers(options: argparse.Namespace) -> None:
             late, poor = (Relay(port, loss, options.delay, seed=n // 2) for loss in (0.0, options.loss))
             ports[robot] = {"loopback": port, "late": await late.open(), "poor": await poor.open()}
         print(json.dumps(ports), flush=True)
-        await asyncio.to_thread(sys.stdin.read)
+        stall = Stall()
+        watch = asyncio.create_task(stall.watch())
+        while await asyncio.to_thread(sys.stdin.readline):
+            print(json.dumps(stall.longest_s), flush=True)
+            stall.longest_s = 0.0
+        watch.cancel()
+
+
+class Stall:
+    """The longest that somebody whose turn it was had to wait in the event loop."""
+
+    def __init__(self) -> None:
+        self.longest_s = 0.0
+
+    async def watch(self) -> None:
+        """Look at it, for ever."""
+        while True:
+            asked_s = time.perf_counter()
+            await asyncio.sleep(TICK_S)
+            self.longest_s = max(self.longest_s, time.perf_counter() - asked_s - TICK_S)
 
 
 def _mission(robots: int) -> Mission:
@@ -200,16 +219,17 @@ async def run_agents(options: argparse.Namespace) -> None:
 
 
 async def _measured(links: CountingLinks, vehicles: int, seconds: float) -> dict[str, float]:
-    late_s, began_s, processor_s, heard = 0.0, time.perf_counter(), time.process_time(), links.heard
-    while (wall_s := time.perf_counter() - began_s) < seconds:
-        asked_s = time.perf_counter()
-        await asyncio.sleep(TICK_S)
-        late_s = max(late_s, time.perf_counter() - asked_s - TICK_S)
+    stall = Stall()
+    watch = asyncio.create_task(stall.watch())
+    began_s, processor_s, heard = time.perf_counter(), time.process_time(), links.heard
+    await asyncio.sleep(seconds)
+    wall_s, processor_s = time.perf_counter() - began_s, time.process_time() - processor_s
+    watch.cancel()
     return {
         "wall_s": wall_s,
-        "processor_s": time.process_time() - processor_s,
+        "processor_s": processor_s,
         "heard_hz": (links.heard - heard) / wall_s / vehicles,
-        "late_s": late_s,
+        "late_s": stall.longest_s,
     }
 
 
