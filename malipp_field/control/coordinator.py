@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import asyncio
 import logging
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
@@ -29,25 +28,25 @@ from malipp_field.clock import Clock
 from malipp_field.control.dispatch import Dispatch, Severity
 from malipp_field.control.ending import conclusion
 from malipp_field.control.experience import Experience
-from malipp_field.control.gates import may_pass
+from malipp_field.control.gates import GateKeeper
 from malipp_field.control.launch import busy, load_first
 from malipp_field.control.ledger import CustodyLedger
-from malipp_field.control.lookahead import LookAhead, Outlook, Roads, Whereabouts
+from malipp_field.control.lookahead import LookAhead, Outlook, Roads
 from malipp_field.control.orders import Orders
 from malipp_field.control.remainder import remainder
 from malipp_field.control.revision import Revision, revise
-from malipp_field.control.schedule import Deviation, Expected, deviation, expectations
+from malipp_field.control.schedule import Schedule
 from malipp_field.control.stranded import broken_chain
 from malipp_field.control.tracks import Track
-from malipp_field.mission import Mission, TeamState, initial_state
+from malipp_field.mission import Mission, TeamState
 from malipp_field.plan import Plan
 from malipp_field.vehicle.compile import compile_plan
-from malipp_field.vehicle.steps import Action, Step, VehicleMission
+from malipp_field.vehicle.steps import VehicleMission
 
 _TICK_S = 0.5
 _AGREEMENT_S = 8.0  # from a plan to all vehicles verified, on top of the planner's time limit
+_SEEN_WITHIN_S = 5.0  # an agent says five times a second what is on board
 _PAUSE_S = 60.0  # between replans, so that noise does not cause churn
-_RELEASE_AGAIN_S = 5.0  # a gate that is still shut so long after it was to open is tried again
 _PRESENCE_TIMEOUT_S = 60.0
 
 log = logging.getLogger(__name__)
@@ -114,13 +113,15 @@ class Coordinator:
             for robot, vehicle_mission in compiled.missions.items()
         }
         self._samples = compiled.samples
-        self._expected: dict[str, Expected] = expectations(
-            plan, compiled.missions, self._budgets(initial_state(mission)), mission
+        self._schedule = Schedule(
+            mission, self.tracks, self.ledger, self._experience, plan, compiled.missions
+        )
+        self._gates = GateKeeper(
+            self.tracks, self.ledger, self._dispatch, clock, mission.team.clearance_s, self._say
         )
         self._start_s = clock.now_s()
         self._quiet_until_s = 0.0
         self._present: set[str] = set()
-        self._tried_s: dict[str, float] = {}  # from when on each gate may be told to open again
         self._versions = plan.version  # the highest ever proposed: one that was dropped is not given again
         self._under_way = False
 
@@ -131,6 +132,12 @@ class Coordinator:
 
     async def run(self) -> Outcome:
         """Fly the mission; returns when every vehicle is done, or nothing moves any more."""
+        try:
+            return await self._fly()
+        finally:
+            await self._gates.close()
+
+    async def _fly(self) -> Outcome:
         await self._listen()
         missing = await self._await_presence()
         if missing:
@@ -142,9 +149,10 @@ class Coordinator:
         while (outcome := self._over()) is None:
             await self._clock.sleep(_TICK_S)
             await self._dispatch.restore(self._in_force(), self._present)
-            await self._open_gates()
             trigger = self._trigger()
-            if trigger is not None:
+            if trigger is None:
+                self._gates.open_all()
+            elif not self._gates.busy:  # no gate opens while a new plan is made
                 await self._replan(trigger)
             if self._on_tick is not None:
                 self._on_tick(self)
@@ -196,6 +204,11 @@ class Coordinator:
             return
         self.tracks[confirmation.robot].confirm(confirmation.uid)
         refusal = self.ledger.confirm(confirmation)
+        if refusal is not None and confirmation.tag in self.ledger.unsettled:
+            self._say(
+                "warning", f"to be cleared up by what is not heard of yet: {refusal}", confirmation.robot
+            )
+            return
         if refusal is not None:
             self._say("error", f"custody does not add up: {refusal}", confirmation.robot)
             return
@@ -263,65 +276,13 @@ class Coordinator:
         )
         self._publish("ledger", self.ledger.message(self._clock.now_s()))
 
-    # Gates ----------------------------------------------------------------------------------------------
-
-    async def _open_gates(self) -> None:
-        """Let all pass whose containers lie ready; a gate that is still shut later is tried again."""
-        now_s = self._clock.now_s()
-        gates = {
-            robot: step for robot, track in self.tracks.items() if (step := self._open_gate(robot, track))
-        }
-        due = {
-            robot: step for robot, step in gates.items() if now_s >= self._tried_s.get(step.uid, -math.inf)
-        }
-        self._tried_s |= {step.uid: now_s + _RELEASE_AGAIN_S for step in due.values()}
-        refusals = await self._dispatch.release({robot: step.uid for robot, step in due.items()})
-        for robot, step in due.items():
-            if robot in refusals:
-                self._say("warning", f"gate at {step.node} does not open: {refusals[robot]}", robot)
-            else:
-                self.tracks[robot].confirm(step.uid)
-
-    def _open_gate(self, robot: str, track: Track) -> Step | None:
-        """Return the gate at which a vehicle stands and which it may pass."""
-        step = track.step
-        if step is None or step.action is not Action.WAIT or not track.reports(step):
-            return None
-        clearance_s = self.mission.team.clearance_s
-        free = may_pass(robot, step, self.ledger, self.tracks, self._clock.now_s(), clearance_s)
-        return step if free else None
-
     # Replanning -----------------------------------------------------------------------------------------
 
     def _trigger(self) -> str | None:
         """Return why the plan in force should be looked at again, or `None`."""
         if self._clock.now_s() < self._quiet_until_s:
             return None
-        if (broken := broken_chain(self.tracks, self.ledger)) is not None:
-            return broken
-        for robot in self.tracks:
-            found = self._deviation(robot)
-            if found is None:
-                continue
-            budget_j = self.mission.robot(robot).energy_budget_j
-            if found.overdraw_j > self.mission.replanning.energy_overdraw * budget_j:
-                share = 100.0 * found.overdraw_j / budget_j
-                return f"{robot} will have used {share:.0f} % of its budget more than planned at {found.node}"
-            if found.late_s > self.mission.replanning.slip_s:
-                return f"{robot} will be {found.late_s:.0f} s late at {found.node}"
-        return None
-
-    def _deviation(self, robot: str) -> Deviation | None:
-        track = self.tracks[robot]
-        if track.telemetry is None or track.finished:
-            return None
-        now, load = self._whereabouts(track), len(self.ledger.on_board(robot))
-        return deviation(robot, self.mission_time_s, now, load, self._expected, self._roads)
-
-    def _whereabouts(self, track: Track) -> Whereabouts:
-        step = track.step
-        known = self._experience.of(track.last_node, step.node) if step is not None else (1.0, 1.0)
-        return track.whereabouts(self._roads, len(self.ledger.on_board(track.robot_id)), known)
+        return broken_chain(self.tracks, self.ledger) or self._schedule.intolerable(self.mission_time_s)
 
     async def _replan(self, trigger: str) -> None:
         self._say("info", f"replanning: {trigger}")
@@ -344,7 +305,7 @@ class Coordinator:
                 self._experience.note(leg, whole=False)
         horizon_s = self.mission.replanning.time_limit_s + _AGREEMENT_S
         known = Roads(self._experience.applied_to(self.mission))
-        whereabouts = {robot: self._whereabouts(track) for robot, track in self.tracks.items()}
+        whereabouts = {robot: self._schedule.whereabouts(robot) for robot in self.tracks}
         lookahead = LookAhead(self.mission, self._roads, known, horizon_s)
         outlook = lookahead.outlook(self.mission_time_s, whereabouts, self.ledger)
         plan = await self._plan_rest(outlook)
@@ -377,9 +338,13 @@ class Coordinator:
         )
 
     async def _put_in_force(self, revision: Revision, reason: str) -> None:
-        """Bring a revision to all vehicles it concerns, or to none."""
-        refusals = await self._dispatch.load(revision.missions, revision.outlook.diverges_at)
-        if refusals:
+        """Bring a revision to all vehicles it concerns, or to none.
+
+        Several stand until all of them hold theirs; one alone need not, where it can be replaced safely.
+        """
+        alone = len(revision.missions) == 1
+        refusals = await self._dispatch.load(revision.missions, revision.outlook.diverges_at, resume=alone)
+        if refusals and not (alone and await self._took_effect(revision)):
             self._say("warning", _in_words(f"plan {revision.plan.version} is dropped", refusals))
             await self._dispatch.put_back(revision.missions, self._in_force(), self._present)
             return
@@ -388,21 +353,27 @@ class Coordinator:
         self._say("info", f"plan {revision.plan.version} is in force; it changes {names}")
         await self._dispatch.start(revision.missions)
 
+    async def _took_effect(self, revision: Revision) -> bool:
+        """Tell whether a vehicle has its new mission all the same: it may have gone on already."""
+        asked_s = self._clock.now_s()
+        (robot,) = revision.missions
+        while self._clock.now_s() < asked_s + _SEEN_WITHIN_S:
+            telemetry = self.tracks[robot].telemetry
+            if telemetry is not None and telemetry.time_s > asked_s:
+                return telemetry.mission_version == revision.plan.version
+            await self._clock.sleep(_TICK_S)
+        return False
+
     def _adopt(self, revision: Revision, reason: str) -> None:
-        expected = expectations(
-            revision.plan, revision.compiled, self._budgets(revision.outlook.state), self.mission
-        )
+        kept = {}
         for robot, track in self.tracks.items():
             if robot in revision.missions:
                 committed = len(revision.outlook.committed[robot])
                 track.adopt(revision.plan.robot(robot), revision.missions[robot], committed)
-                continue
-            # The vehicle keeps its mission: the new plan's words are about its old steps.
-            free = track.mission.steps[len(track.mission.steps) - len(revision.compiled[robot].steps) :]
-            for old, new in zip(free, revision.compiled[robot].steps, strict=True):
-                if new.uid in expected:
-                    expected[old.uid] = expected.pop(new.uid)
-        self._expected = expected
+            else:  # it keeps its mission: the new plan's words are about its old steps
+                steps = track.mission.steps
+                kept[robot] = steps[len(steps) - len(revision.compiled[robot].steps) :]
+        self._schedule.renew(revision.plan, revision.compiled, revision.outlook.state, kept)
         self.plan = revision.plan
         self.ledger.expect(revision.samples.values())
         self._announce(reason)
@@ -419,9 +390,6 @@ class Coordinator:
         return Outcome(complete, reason, self._start_s, self._clock.now_s(), self.plan.version)
 
     # Saying ---------------------------------------------------------------------------------------------
-
-    def _budgets(self, state: TeamState) -> dict[str, float]:
-        return {robot.id: robot.energy_left_j for robot in state.robots}
 
     def _say(self, severity: Severity, text: str, robot: str | None = None) -> None:
         event = Event(

@@ -36,13 +36,17 @@ class Dispatch:
         self._due_s = 0.0
 
     async def load(
-        self, missions: Mapping[str, VehicleMission], diverges_at: Mapping[str, str | None] | None = None
+        self,
+        missions: Mapping[str, VehicleMission],
+        diverges_at: Mapping[str, str | None] | None = None,
+        *,
+        resume: bool = False,
     ) -> dict[str, str]:
-        """Put missions on vehicles, which then stand; return the refusals."""
+        """Put missions on vehicles, which then stand, or with ``resume`` go on; return the refusals."""
         found = diverges_at or {}
         return await self._orders.give_all(
             {
-                robot: Load(mission=mission, diverges_at=found.get(robot))
+                robot: Load(mission=mission, resume=resume, diverges_at=found.get(robot))
                 for robot, mission in missions.items()
             }
         )
@@ -58,9 +62,10 @@ class Dispatch:
         self._set_astray(refusals)
         return refusals
 
-    async def release(self, gates: Mapping[str, str]) -> dict[str, str]:
-        """Let vehicles pass the gates of those uids, by robot; return the refusals."""
-        return await self._orders.give_all({robot: Release(uid=uid) for robot, uid in gates.items()})
+    async def release(self, robot: str, uid: str) -> str | None:
+        """Let a vehicle pass the gate of that uid; return why it does not."""
+        reply = await self._orders.give(robot, Release(uid=uid))
+        return None if reply.ok else reply.text
 
     async def put_back(
         self, robots: Iterable[str], in_force: Mapping[str, VehicleMission], present: set[str]

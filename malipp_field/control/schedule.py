@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from malipp_field.control.experience import Experience
+from malipp_field.control.ledger import CustodyLedger
 from malipp_field.control.lookahead import Roads, Whereabouts
-from malipp_field.mission import Mission
+from malipp_field.control.tracks import Track
+from malipp_field.mission import Mission, TeamState, initial_state
 from malipp_field.plan import Plan
-from malipp_field.vehicle.steps import Action, VehicleMission
+from malipp_field.vehicle.steps import Action, Step, VehicleMission
 
 
 @dataclass(frozen=True)
@@ -78,3 +81,83 @@ def deviation(
             plan = expected[step.uid]
             return Deviation(robot_id, node, time_s - plan.arrive_s, energy_j - plan.energy_used_j)
     return None
+
+
+class Schedule:
+    """What the plan in force expects of every vehicle, and who is off it by how much.
+
+    Parameters
+    ----------
+    tracks, ledger, experience
+        What is known of the vehicles, what is on board, and what edges were found to take.
+    plan, missions
+        The first plan, and what was compiled from it.
+    """
+
+    def __init__(
+        self,
+        mission: Mission,
+        tracks: Mapping[str, Track],
+        ledger: CustodyLedger,
+        experience: Experience,
+        plan: Plan,
+        missions: Mapping[str, VehicleMission],
+    ) -> None:
+        self._mission, self._tracks, self._ledger = mission, tracks, ledger
+        self._experience, self._roads = experience, Roads(mission)
+        self._expected = self._of(plan, missions, initial_state(mission))
+
+    def _of(
+        self, plan: Plan, missions: Mapping[str, VehicleMission], state: TeamState
+    ) -> dict[str, Expected]:
+        left_j = {robot.id: robot.energy_left_j for robot in state.robots}
+        return expectations(plan, missions, left_j, self._mission)
+
+    def renew(
+        self,
+        plan: Plan,
+        compiled: Mapping[str, VehicleMission],
+        state: TeamState,
+        kept: Mapping[str, Sequence[Step]],
+    ) -> None:
+        """Expect what another plan says.
+
+        Parameters
+        ----------
+        compiled, state
+            The steps compiled from ``plan`` alone, and where it begins.
+        kept
+            Of vehicles that go on with the mission they have: those of its steps that stand for the new
+            ones, by robot.
+        """
+        expected = self._of(plan, compiled, state)
+        for robot, steps in kept.items():
+            for old, new in zip(steps, compiled[robot].steps, strict=True):
+                if new.uid in expected:
+                    expected[old.uid] = expected.pop(new.uid)
+        self._expected = expected
+
+    def whereabouts(self, robot: str) -> Whereabouts:
+        """Return where a vehicle is; its present leg is judged by what is known of the edge, too."""
+        track = self._tracks[robot]
+        step = track.step
+        known = self._experience.of(track.last_node, step.node) if step is not None else (1.0, 1.0)
+        return track.whereabouts(self._roads, len(self._ledger.on_board(robot)), known)
+
+    def intolerable(self, mission_time_s: float) -> str | None:
+        """Return who is off the plan by more than the mission's replanning policy allows, in words."""
+        policy = self._mission.replanning
+        for robot, track in self._tracks.items():
+            if track.telemetry is None or track.finished:
+                continue
+            now, load = self.whereabouts(robot), len(self._ledger.on_board(robot))
+            found = deviation(robot, mission_time_s, now, load, self._expected, self._roads)
+            if found is None:
+                continue
+            budget_j = self._mission.robot(robot).energy_budget_j
+            if found.overdraw_j > policy.energy_overdraw * budget_j:
+                share = 100.0 * found.overdraw_j / budget_j
+                return f"{robot} will have used {share:.0f} % of its budget more than planned at {found.node}"
+            if found.late_s > policy.slip_s:
+                return f"{robot} will be {found.late_s:.0f} s late at {found.node}"
+        return None
