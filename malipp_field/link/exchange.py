@@ -93,10 +93,14 @@ class Exchange(ABC):
 
     def _ask(self, now_s: float, interval_s: float = DEFAULT_TIMEOUT_S) -> list[MavMessage]:
         """Send a new question, to be repeated every ``interval_s`` seconds."""
+        self._expect(now_s, interval_s)
+        return self._question()
+
+    def _expect(self, now_s: float, interval_s: float) -> None:
+        """Note that a new question is sent, to be repeated every ``interval_s`` seconds."""
         self._interval_s = interval_s
         self._asked_s = self._heard_s = now_s
         self._repeats = 0
-        return self._question()
 
     def _finish(self) -> list[MavMessage]:
         self.done = True

@@ -198,7 +198,7 @@ class MissionUpload(MissionExchange):
         # A late request for an earlier item does not mean that the vehicle has gone back.
         self._wanted = seq if self._wanted is None else max(self._wanted, seq)
         self._refusal = self._busy_since_s = None
-        self._ask(now_s, ITEM_TIMEOUT_S)
+        self._expect(now_s, ITEM_TIMEOUT_S)
         return [self._item_message(seq)]
 
     def _acknowledged(self, result: int, now_s: float) -> list[MavMessage]:
