@@ -174,6 +174,8 @@ class Simulation(StrictModel):
     person_s: NonNegative | None = 20.0
     """Seconds from when a vehicle waits for a person to when the simulated one has done the work and says so;
     null: the work is done at once, and `malipp confirm` is left to you."""
+    parameters: dict[str, float] = Field(default={})
+    """Parameters of the simulated autopilots that differ from ArduPilot's defaults, as ``FS_GCS_ENABLE``."""
     terrain: tuple[TerrainPatch, ...] = Field(default=(), strict=False)
 
 

@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from malipp_field.errors import MalippError
+
 _INT8, _INT16, _INT32, _REAL32 = (
     mavlink.MAV_PARAM_TYPE_INT8,
     mavlink.MAV_PARAM_TYPE_INT16,
@@ -57,9 +59,18 @@ class Parameters:
     ----------
     changed
         Values that differ from the defaults, by name.
+
+    Raises
+    ------
+    MalippError
+        For a name it does not have.
     """
 
     def __init__(self, **changed: float) -> None:
+        for name in changed.keys() - _ROVER.keys():
+            raise MalippError(
+                f"simulation.parameters: a simulated rover has no '{name}'; it has {', '.join(_ROVER)}"
+            )
         self._values = {name: float(value) for name, (value, _) in _ROVER.items()} | changed
         self._names = list(self._values)
 

@@ -63,7 +63,9 @@ class Rover:
     ) -> None:
         self.robot_id, self.world = robot_id, world
         self.system_id = system_id
-        self.parameters = Parameters(MAV_SYSID=system_id, WP_SPEED=world.mission.robot(robot_id).speed_m_s)
+        speed_m_s = world.mission.robot(robot_id).speed_m_s
+        changed = {"WP_SPEED": speed_m_s, **world.mission.simulation.parameters, "MAV_SYSID": system_id}
+        self.parameters = Parameters(**changed)
         self._failsafe = GcsFailsafe(self.parameters)
         self.autopilot = Autopilot(robot_id, world, self.parameters, config or RoverConfig(), now_s)
         self.outbox: list[tuple[Peer | None, Any]] = []

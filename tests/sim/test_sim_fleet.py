@@ -14,7 +14,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from sim_cases import START_S, action, item_int, numbered, site, waypoint
 
 from malipp_field.clock import SimClock
-from malipp_field.errors import LinkError
+from malipp_field.errors import LinkError, MalippError
 from malipp_field.sim import Fleet, World
 from malipp_field.sim.fleet import parse
 from malipp_field.vehicle.steps import Action
@@ -174,3 +174,13 @@ def test_a_taken_port_is_an_error_that_leaves_nothing_open() -> None:
             assert fleet.endpoints == {}
 
     asyncio.run(main())
+
+
+def test_parameters_of_the_simulated_autopilots_are_those_of_the_mission_file() -> None:
+    given = "simulation: {parameters: {%s: 1}}\n"
+    rovers = Fleet(site(given % "FS_GCS_ENABLE"), SimClock(START_S)).rovers
+    assert {rover.parameters["FS_GCS_ENABLE"] for rover in rovers.values()} == {1.0}
+    with pytest.raises(
+        MalippError, match=r"simulation\.parameters: a simulated rover has no 'FS_GCS'; it has "
+    ):
+        Fleet(site(given % "FS_GCS"), SimClock(START_S))
