@@ -137,4 +137,4 @@ def framed(kind: Any, payload: bytes, version_1: bool) -> bytes:
         else bytes((len(payload), 0, 0, 9, SYSTEM, 1)) + kind.id.to_bytes(3, "little")
     ) + payload
     checksum = mavlink.x25crc(body + bytes((kind.crc_extra,))).crc
-    return bytes((0xFE if version_1 else 0xFD,)) + body + checksum.to_bytes(2, "little")
+    return b"%c%b%b" % (0xFE if version_1 else 0xFD, body, checksum.to_bytes(2, "little"))

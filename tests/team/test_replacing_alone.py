@@ -130,7 +130,7 @@ def test_a_vehicle_whose_own_failsafe_makes_it_safe_does_not_stop(failsafe: int,
 def test_a_new_mission_whose_answer_was_lost_is_in_force_all_the_same(heard: bool) -> None:
     """The vehicle drives it already; where it is not there, the old one is given back."""
     team = team_with(1, Onlooker())
-    agent, lost = team.agents["r1"], []
+    agent, lost = team.agents["r1"], list[Any]()
 
     async def mute(command: Any) -> Reply:
         wanted = getattr(command.order, "mission", None)
