@@ -113,21 +113,23 @@ def test_headers_are_read_without_decoding() -> None:
     assert (old.message_id, old.system, old.component, old.signed) == (0, SYSTEM, 1, False)
 
 
-@pytest.mark.parametrize("version_1", [False, True])
-@pytest.mark.parametrize("message_id", sorted(mavlink.mavlink_map))
-def test_decoding_agrees_with_pymavlink(message_id: int, version_1: bool) -> None:
+KINDS = [
+    (kind, old) for kind in mavlink.mavlink_map.values() for old in (False, True) if not old or kind.id < 256
+]
+
+
+def test_decoding_agrees_with_pymavlink() -> None:
     """Whatever the fields hold, trailing zeros left out or not, and fields of a later version behind them."""
-    kind, rng = mavlink.mavlink_map[message_id], random.Random(message_id)
-    if version_1 and message_id > 255:
-        return
-    for length in (kind.unpacker.size, kind.unpacker.size // 2, min(255, kind.unpacker.size + 3)):
-        data = framed(kind, rng.randbytes(max(1, length)), version_1)
-        (frame,) = FrameReader().feed(data)
-        ours, theirs = decoded(frame), mavlink.MAVLink(None).decode(bytearray(data))
-        assert ours is not None
-        assert (str(ours), ours.get_srcSystem(), ours.get_srcComponent(), ours.get_seq()) == (
-            str(theirs), theirs.get_srcSystem(), theirs.get_srcComponent(), theirs.get_seq(),
-        )  # fmt: skip
+    rng = random.Random(1)
+    for kind, version_1 in KINDS:
+        for length in (kind.unpacker.size, kind.unpacker.size // 2, min(255, kind.unpacker.size + 3)):
+            data = framed(kind, rng.randbytes(max(1, length)), version_1)
+            (frame,) = FrameReader().feed(data)
+            ours, theirs = decoded(frame), mavlink.MAVLink(None).decode(bytearray(data))
+            assert ours is not None
+            assert (str(ours), ours.get_srcSystem(), ours.get_srcComponent(), ours.get_seq()) == (
+                str(theirs), theirs.get_srcSystem(), theirs.get_srcComponent(), theirs.get_seq(),
+            )  # fmt: skip
 
 
 def framed(kind: Any, payload: bytes, version_1: bool) -> bytes:
