@@ -42,6 +42,11 @@ class CustodyLedger:
         """Tags of samples that could not be taken where they were wanted."""
         return sorted(tag for tag in self._given_up if not self._records[tag].history)
 
+    @property
+    def barren(self) -> tuple[str, ...]:
+        """Nodes at which a sample could not be taken."""
+        return tuple(sorted({self._records[tag].sample.node for tag in self.given_up}))
+
     def gone(self, tags: Iterable[int]) -> list[int]:
         """Return those of ``tags`` that nobody is going to bring: missing, or not taken after all."""
         return [tag for tag in tags if tag in self._records and self._is_gone(self._records[tag])]

@@ -164,6 +164,7 @@ class LookAhead:
                 Cache(node=node, sender=sender, count=len(tags), available_s=self._available_s[node, sender])
                 for (node, sender), tags in caches.items()
             ),
+            barren=ledger.barren,
         )
         committed_tags = {tag for robot in robots for step in robot.committed for tag in step.tags}
         return Outlook(

@@ -1,4 +1,4 @@
-"""Where the missions in force wait for containers that nobody brings, or leave some that nobody fetches."""
+"""Where the missions in force count on what will not be: containers, fetchers, samples."""
 
 from __future__ import annotations
 
@@ -18,6 +18,8 @@ def broken_chain(tracks: Mapping[str, Track], ledger: CustodyLedger) -> str | No
         for step in _left(track):
             if gone := ledger.gone(step.tags):
                 return f"{robot} counts on container {gone[0]} at {step.node}, which will not come"
+            if step.action is Action.COLLECT and step.node in ledger.barren and not _is_at(track, step):
+                return f"{robot} is to sample at {step.node}, where a sample could not be taken"
     fetched = {tag for track in tracks.values() for tag in _tags(track, Action.PICK)}
     left = {tag for track in tracks.values() for tag in _tags(track, Action.DROP)}
     lying = {tag for tags in ledger.caches().values() for tag in tags}
@@ -30,6 +32,11 @@ def _left(track: Track) -> Iterator[Step]:
     step = track.step
     waiting = step is not None and step.action is Action.WAIT
     yield from track.mission.steps[track.current + (not waiting) :]
+
+
+def _is_at(track: Track, step: Step) -> bool:
+    """Tell whether a vehicle has come to the stop of a step already: then it may as well try."""
+    return track.step is not None and track.step.stop == step.stop and track.step.action is not Action.DRIVE
 
 
 def _tags(track: Track, action: Action) -> Iterator[int]:

@@ -45,6 +45,8 @@ class TeamState(StrictModel):
     time_s: NonNegative = 0.0
     robots: Annotated[tuple[RobotState, ...], Field(strict=False)]
     caches: tuple[Cache, ...] = Field(default=(), strict=False)
+    barren: tuple[Identifier, ...] = Field(default=(), strict=False)
+    """Candidates where no sample can be taken any more, as was found on the spot; what was taken counts."""
 
     def robot(self, robot_id: str) -> RobotState:
         """Return the state of that robot; raises `KeyError` where there is none."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -168,11 +168,12 @@ def build_problem(
     stocks = tuple(Stock(index[c.node], c.sender, c.count, c.available_s) for c in state.caches)
     candidates = candidate_ids(mission)
     closures = _closures(mission, state, index, stocks)
+    fertile = [node for node in candidates if node not in state.barren]
     problem = Problem(
         nodes=nodes,
         candidates=tuple(index[node] for node in candidates),
         robots=tuple(
-            _view(mission, robot, state.robot(robot.id), index, stocks, closures[robot.id])
+            _view(mission, robot, state.robot(robot.id), index, stocks, closures[robot.id], fertile)
             for robot in mission.team.robots
         ),
         stocks=stocks,
@@ -237,11 +238,12 @@ def _view(
     index: dict[str, int],
     stocks: tuple[Stock, ...],
     ways: Closure,
+    fertile: Sequence[str],
 ) -> RobotView:
     start = index[state.node]
     routing = _routing(mission, index, stocks)
     limits = np.zeros(len(index), dtype=np.int64)
-    for node in candidate_ids(mission):
+    for node in fertile:
         limits[index[node]] = max(0, robot.samples_per_node - state.collected.get(node, 0))
     if robot.payload_capacity == 0:
         limits[:] = 0

@@ -42,6 +42,8 @@ def _sampling(case: Case, visit: Visit) -> Iterator[Violation]:
         return
     if case.roles.get(stop.node) != "candidate":
         yield visit.breaks("eq:sampling_visit", "samples are taken at candidates only")
+    if stop.node in case.state.barren:
+        yield visit.breaks("eq:sampling_visit", "nothing can be taken here, as was found out on the spot")
     total = stop.collect + visit.begin.collected.get(stop.node, 0)
     if total > robot.samples_per_node:
         yield visit.breaks(

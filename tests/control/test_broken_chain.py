@@ -83,3 +83,16 @@ def test_a_gate_that_would_open_too_early_makes_it_another_mission() -> None:
     assert not same(100.0, None)
     lenient = [s.model_copy(update={"if_missing": "go_on"}) for s in steps]
     assert not same_work(steps, lenient)
+
+
+def test_a_teammate_is_not_sent_where_nothing_could_be_taken() -> None:
+    tracks, ledger = under_way()
+    scout = tracks["scout"]
+    ledger.miss(report(tracks, "scout", Action.COLLECT, 1))
+    scout.mission = scout.mission.model_copy(
+        update={"steps": tuple(step for step in scout.mission.steps if 1 not in step.tags)}
+    )
+    tracks["carrier"].mission = scout.mission
+    assert broken_chain({"scout": scout}, ledger) is None, "it stands there already, and may as well try"
+    found = broken_chain(tracks, ledger)
+    assert found == "carrier is to sample at far, where a sample could not be taken"

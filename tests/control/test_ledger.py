@@ -156,8 +156,9 @@ def test_what_could_not_be_taken_is_withdrawn_and_named() -> None:
     ledger = ledger_of(1, 2)
     ledger.miss(missed("scout", Action.COLLECT, 1, "far"))
     assert (ledger.records[1].state, ledger.given_up, ledger.gone([1, 2])) == ("withdrawn", [1], [1])
+    assert list(ledger.barren) == ["far"]
     ledger.confirm(confirm("scout", Action.COLLECT, 1, "far"))
-    assert ledger.given_up == []
+    assert (ledger.given_up, list(ledger.barren)) == ([], [])
 
 
 def test_a_pick_heard_of_before_its_drop_counts_when_the_drop_is_known() -> None:

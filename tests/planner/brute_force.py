@@ -95,7 +95,9 @@ def _rover(mission: Mission, state: TeamState, i: int, handoffs: bool) -> Rover:
         budget_j=now.energy_left_j * (1.0 - mission.planner.energy_reserve),
         capacity=robot.payload_capacity,
         limit={
-            node: robot.samples_per_node - now.collected.get(node, 0) if role == "candidate" else 0
+            node: robot.samples_per_node - now.collected.get(node, 0)
+            if role == "candidate" and node not in state.barren
+            else 0
             for node, role in roles.items()
         },
         on_board=now.on_board,

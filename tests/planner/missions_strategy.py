@@ -126,7 +126,8 @@ def states(draw: st.DrawFn, /, mission: Mission) -> TeamState:
         for robot in mission.team.robots
     ]
     cache = Cache(node=ids[0], sender=robots[0].id, count=1, available_s=draw(st.sampled_from([0.0, 20.0])))
-    return TeamState(robots=tuple(robots), caches=(cache,) if draw(st.booleans()) else ())
+    barren = draw(st.sampled_from([(), (), (ids[0],), (ids[-1],)]))
+    return TeamState(robots=tuple(robots), caches=(cache,) if draw(st.booleans()) else (), barren=barren)
 
 
 @st.composite

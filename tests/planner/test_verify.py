@@ -275,6 +275,14 @@ def samples_again_what_it_took(s: Scene) -> None:
     s.begin("carrier")["energy_left_j"] = 300.0
 
 
+def samples_where_nothing_is_to_be_had(s: Scene) -> None:
+    assert s.state is not None
+    s.state["barren"] = ["h"]
+    s.routes["carrier"][1]["collect"] = 1
+    s.routes["carrier"][2]["unload"] = 3
+    s.begin("carrier")["energy_left_j"] = 300.0
+
+
 def unloads_in_the_field(s: Scene) -> None:
     s.routes["carrier"][2:] = [stop("a", "h a", unload=1), stop("base", "a base", unload=1)]
 
@@ -411,6 +419,7 @@ CUSTODY: list[tuple[Callable[[], Scene], Change, set[str]]] = [
     (mid_route, samples_at_a_depot, {"eq:sampling_visit"}),
     (dead_drop, too_many_samples, {"eq:sampling_visit"}),
     (residual, samples_again_what_it_took, {"eq:sampling_visit"}),
+    (residual, samples_where_nothing_is_to_be_had, {"eq:sampling_visit"}),
     (dead_drop, unloads_in_the_field, {"eq:unload_bound"}),
     (mid_route, unloads_at_a_strange_depot, {"eq:unload_bound"}),
     (residual, unloads_more_than_it_can_carry, {"eq:unload_bound"}),

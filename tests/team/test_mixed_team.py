@@ -135,6 +135,9 @@ def test_with_a_new_plan_nobody_waits_for_what_could_not_be_taken(monkeypatch: p
     assert outcome.complete, (outcome.reason, team.events)
     assert outcome.reason.endswith("not taken: container 1")
     assert len(team.plans) > 1
+    (rock,) = {record.sample.node for record in team.ledger.samples if record.sample.tag == 1}
+    new = [stop for robot in team.plans[-1].plan.robots for stop in robot.route]
+    assert rock not in {stop.node for stop in new if stop.collect}
     assert all(m.payload == team.mission.vehicle(m.robot).payload for m in team.plans[-1].missions)
     truth, ledger = truth_and_ledger(team)
     assert truth == ledger
