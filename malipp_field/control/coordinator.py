@@ -41,7 +41,7 @@ from malipp_field.control.tracks import Track
 from malipp_field.mission import Mission, TeamState
 from malipp_field.plan import Plan
 from malipp_field.vehicle.compile import compile_plan
-from malipp_field.vehicle.steps import VehicleMission
+from malipp_field.vehicle.steps import VehicleMission, run_at
 
 _TICK_S = 0.5
 _AGREEMENT_S = 8.0  # from a plan to all vehicles verified, on top of the planner's time limit
@@ -107,7 +107,7 @@ class Coordinator:
         self._roads = Roads(mission)
         self._experience = Experience()
         self.ledger = CustodyLedger()
-        compiled = compile_plan(mission, plan, start_s=clock.now_s())
+        compiled = compile_plan(mission, plan, start_s=clock.now_s(), run=run_at(clock.now_s()))
         self.tracks = {
             robot: Track(mission, plan.robot(robot), vehicle_mission)
             for robot, vehicle_mission in compiled.missions.items()

@@ -39,7 +39,8 @@ async def load_first(
     allowed_s = _LOADING_S
     while True:
         start_s = clock.now_s() + allowed_s
-        compiled = compile_plan(mission, plan, start_s=start_s)
+        run = max(track.mission.run for track in tracks.values())  # they have one and the same
+        compiled = compile_plan(mission, plan, start_s=start_s, run=run)
         for robot, track in tracks.items():
             track.mission = compiled.missions[robot]
         refusals = await dispatch.load(busy(tracks))

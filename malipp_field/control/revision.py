@@ -55,7 +55,8 @@ def revise(
         promised=outlook.promised,
         next_tag=ledger.next_tag,
     )
-    compiled = compile_plan(mission, plan, custody, start_s)
+    run = max(old.run for old in in_force.values())  # they have one and the same
+    compiled = compile_plan(mission, plan, custody, start_s, run)
     missions = {}
     for robot_id, part in compiled.missions.items():
         old = in_force[robot_id]

@@ -272,6 +272,10 @@ class Agent:
         self._send(mavlink.MAVLink_named_value_int_message(boot_ms, name, self._inbox.heard))
 
     def _script_says(self, report: PayloadReport) -> None:
+        if self.progress.precedes(report):
+            what = f"{report.action} of container {report.tag}, {report.result}"
+            self._event("info", f"a confirmation of an earlier mission: {what}")
+            return
         step = self.progress.step_of(report)
         if step is not None and step.uid in self.progress.done:
             return  # begun anew after a hold: the script says once more what it has done already

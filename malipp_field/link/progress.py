@@ -17,14 +17,14 @@ _PASSED_BY = (Action.DRIVE, Action.WAIT)
 
 
 class Progress:
-    """Progress of one vehicle, over all the missions it has been given.
+    """Progress of one vehicle, over all the missions of one run that it has been given.
 
     Attributes
     ----------
     mission : VehicleMission or None
         The verified mission on board.
     done : set of str
-        Uids of steps done, under this mission or an earlier one, or gone on without.
+        Uids of steps done, under this mission or an earlier one of this run, or gone on without.
     failed : dict of str to str
         What is wrong with steps that the vehicle tried and holds at, by uid.
     """
@@ -73,7 +73,15 @@ class Progress:
         return next((i for i, step in enumerate(mission.steps) if step.uid not in self.done), None)
 
     def adopt(self, mission: VehicleMission) -> None:
-        """Note that this mission is on board, read back and found right."""
+        """Note that this mission is on board, read back and found right.
+
+        In another run nothing is done yet, whatever the names of its steps.
+        """
+        if self._known and self._known[0].run != mission.run:
+            self.done.clear()
+            self.failed.clear()
+            self._known.clear()
+            self.unfollow()
         self.mission = mission
         self._known.appendleft(mission)
 
@@ -164,8 +172,14 @@ class Progress:
                 return step
         return None
 
+    def precedes(self, report: PayloadReport) -> bool:
+        """Whether a confirmation is of another run, and so of an earlier one; one that tells none is not."""
+        return bool(self._known) and report.run not in (0, self._known[0].run)
+
     def step_of(self, report: PayloadReport) -> Step | None:
         """Return the step a confirmation belongs to, or None when no mission so far has such a step."""
+        if self.precedes(report):
+            return None
         matching = [
             step
             for mission in self._known

@@ -17,7 +17,7 @@ from malipp_field.sim.mission_store import MAX_ITEMS, MissionStore
 from malipp_field.sim.motion import Leg, Position
 from malipp_field.sim.outputs import Outputs, hangs
 from malipp_field.sim.params import Parameters
-from malipp_field.sim.payload import PayloadScript, action_of, gate_delay_s
+from malipp_field.sim.payload import PayloadScript, action_of, gate_delay_s, goes_on_without
 from malipp_field.sim.world import Outcome, World
 from malipp_field.vehicle.items import MissionItem, degrees_e7
 from malipp_field.vehicle.steps import Action
@@ -302,7 +302,7 @@ class Autopilot:
         duration_s = self.script.duration_s(self.store.items, item.seq)
         if duration_s > timeout_s:
             return Pause(timeout_s)
-        return InTurn(Pause(duration_s), Do(partial(self._handle, action, item.x, go_on=item.y == 1)))
+        return InTurn(Pause(duration_s), Do(partial(self._handle, action, item)))
 
     def attended(self, action: Action, tag: int) -> Outcome:
         """Return what a person finds who does an action by hand, or looks at what the hardware has done."""
@@ -310,15 +310,12 @@ class Autopilot:
             return self._world.act(self.robot.id, action, tag, self.position)
         return self.outputs.outcome or Outcome("unknown")
 
-    def _handle(self, action: Action, tag: int, *, go_on: bool) -> bool:
-        """Carry out a payload action; the rover holds when it cannot be done, rather than drive on.
-
-        With ``go_on`` it says that a container is not there and drives on, as the mission has it.
-        """
-        result = self.script.carry_out(action, tag, self.position)
-        if result == "ok" or (result == "missing" and go_on):
+    def _handle(self, action: Action, item: MissionItem) -> bool:
+        """Carry out a payload action; the rover holds when it cannot be done, rather than drive on."""
+        result = self.script.carry_out(action, item, self.position)
+        if result == "ok" or (result == "missing" and goes_on_without(item)):
             return True
-        return self._refuse(f"Cannot {action} {tag}: holding")
+        return self._refuse(f"Cannot {action} {item.x}: holding")
 
     def _refuse(self, text: str) -> bool:
         self.say(mavlink.MAV_SEVERITY_ERROR, text)

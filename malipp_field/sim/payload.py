@@ -3,8 +3,8 @@
 Param 1 is the action (`ACTION_CODES`), param 3 the number of the stop, param 4 the number of containers and x
 the tag of the container. The actions of one stop share the service time beta evenly, however many they are,
 so a stop takes exactly beta, as the paper's service window assumes. `WAIT` takes none of it. It ends when the
-ground makes the next item current or, where y gives a time of day, by itself at that time. With y = 1 any
-other action that finds its container missing says so and lets the vehicle go on.
+ground makes the next item current or, where y gives a time of day, by itself at that time. With an odd y any
+other action that finds its container missing says so and lets the vehicle go on; half of y is the run.
 """
 
 from __future__ import annotations
@@ -24,6 +24,11 @@ _ACTIONS = {code: action for action, code in ACTION_CODES.items()}
 def action_of(item: MissionItem) -> Action | None:
     """Return the action an item asks for, or `None` when the script knows no such code."""
     return _ACTIONS.get(int(item.param1))
+
+
+def goes_on_without(item: MissionItem) -> bool:
+    """Tell whether a vehicle is to drive on where the container of an action is not there."""
+    return item.y & 1 == 1
 
 
 def gate_delay_s(code: int, now_s: float) -> float:
@@ -74,11 +79,13 @@ class PayloadScript:
         """Return how long the action of item ``seq`` takes."""
         return self._world.mission.team.service_time_s / actions_at_stop(items, seq)
 
-    def carry_out(self, action: Action, tag: int, place: Position) -> Result:
-        """Do an action and put its confirmation on the list; return what came of it."""
-        outcome = self._world.act(self._robot_id, action, tag, place)
+    def carry_out(self, action: Action, item: MissionItem, place: Position) -> Result:
+        """Do the action of an item and put its confirmation on the list; return what came of it."""
+        run = item.y >> 1
+        self._world.begin_run(run)
+        outcome = self._world.act(self._robot_id, action, item.x, place)
         self._number += 1
-        text = format_confirmation(self._number, action, tag, outcome.result, outcome.value)
+        text = format_confirmation(self._number, action, item.x, outcome.result, outcome.value, run)
         self._unheard[self._number] = text, None
         return outcome.result
 

@@ -90,6 +90,7 @@ class World:
         # By tag, or by a negative number while nobody has labelled it; the one moved last is the last.
         self._containers: dict[int, Container] = {}
         self._done: dict[tuple[str, Action, int], tuple[Position, Outcome]] = {}
+        self._run: int | None = None
         self._reach_m = _reach_m(list(self.places.values()))
         # The conversion costs more than all else in telemetry; a rover that stands asks the same again.
         self._to_globe = functools.lru_cache(maxsize=1024)(to_globe)
@@ -138,6 +139,16 @@ class World:
     def remove(self, tag: int) -> None:
         """Take a lying container away, as a passer-by might."""
         self._containers[tag] = replace(self._containers[tag], place=None)
+
+    def begin_run(self, run: int) -> None:
+        """Note which run of a mission is carried out: in another one tags are given anew.
+
+        What there is from before stays where it is, and its labels mean nothing any more.
+        """
+        if self._run not in (None, run):
+            self._done.clear()
+            self._containers = {-n: old for n, old in enumerate(self._containers.values(), start=1)}
+        self._run = run
 
     def act(self, robot_id: str, action: Action, tag: int, place: Position) -> Outcome:
         """Carry out a payload action on the container of that tag, or say why it cannot be done.

@@ -90,6 +90,7 @@ def compile_plan(
     plan: Plan,
     custody: Custody | None = None,
     start_s: float | None = None,
+    run: int = 0,
 ) -> Compiled:
     """Return the steps of every vehicle of a plan.
 
@@ -103,6 +104,8 @@ def compile_plan(
         Containers on board and in caches when the plan begins; by default none.
     start_s
         When mission time 0 is, in seconds since the Unix epoch. Without it no gate opens by time.
+    run
+        Number of this run of the mission, the same for all its plans; 0: none is told to the vehicles.
 
     Raises
     ------
@@ -134,6 +137,7 @@ def compile_plan(
                 )
             ),
             payload=mission.vehicle(robot.id).payload,
+            run=run,
         )
         for robot in plan.robots
     }

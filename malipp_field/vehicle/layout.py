@@ -8,6 +8,9 @@ current.
 A gate at which the vehicle only waits for the ground is NAV_SCRIPT_TIME or NAV_LOITER_UNLIM, after what picks
 there. One that may also open by time is NAV_DELAY to a time of day (UTC) where there is no script; the script
 is told the time and keeps it itself, since it can tell a gate that is late from one of tomorrow.
+
+y of a scripted action is twice the number of the run, and 1 more where the vehicle goes on without the
+container.
 """
 
 from __future__ import annotations
@@ -130,7 +133,7 @@ def _items(vehicle: VehicleMission, step: Step) -> Iterator[MissionItem]:
     elif step.action is Action.WAIT:
         yield _gate(step, by_script=isinstance(vehicle.payload.pick, ByScript))
     elif isinstance(means, ByScript):
-        yield _scripted(step, y=int(step.if_missing == "go_on"))
+        yield _scripted(step, y=2 * vehicle.run + (step.if_missing == "go_on"))
     elif means is not None:
         if not isinstance(means, ByHand):
             yield from _actuated(means)

@@ -3,13 +3,14 @@
 "Reached" is no proof that an action was done, and messages get lost. So the script numbers what it has to
 say from 1, without gaps since it was started, as STATUSTEXT (severity INFO) ::
 
-    MLP <number> <action> <tag> ok [v=<reading>]
-    MLP <number> <action> <tag> missing|full|unknown
+    MLP <number> <action> <tag> ok [k=<run>] [v=<reading>]
+    MLP <number> <action> <tag> missing|full|unknown [k=<run>]
 
 and repeats each text every `REPEAT_S` seconds until the agent has acknowledged it by a NAMED_VALUE_INT called
 `ack_name`, whose value is the highest number that has arrived in order; while many are unheard it may repeat
-only the first of them. It reports the energy drawn since it was started (watt-hours) as NAMED_VALUE_FLOAT
-called `ENERGY_NAME`.
+only the first of them. The run is that of the item that asked: what was left unheard in the morning confirms
+nothing of the afternoon's mission, which has the same tags. It reports the energy drawn since it was started
+(watt-hours) as NAMED_VALUE_FLOAT called `ENERGY_NAME`.
 """
 
 from __future__ import annotations
@@ -28,11 +29,14 @@ JOULES_PER_WATT_HOUR = 3600.0
 MAX_TEXT = 50
 """Characters of one STATUSTEXT; every confirmation fits into one."""
 
+_MOST_DIGITS = 9  # of a reading: as many as a single-precision number has
+
 Result = Literal["ok", "missing", "full", "unknown"]
 
 _PATTERN = re.compile(
     r"MLP (?P<number>[1-9][0-9]{0,9}) (?P<action>[a-z]+) (?P<tag>[0-9]{1,5})"
-    r" (?P<result>ok|missing|full|unknown)(?: v=(?P<value>\S+))?"
+    r" (?P<result>ok|missing|full|unknown)"
+    r"(?: k=(?P<run>[1-9][0-9]{0,4}))?(?: v=(?P<value>\S+))?"
 )
 
 
@@ -48,7 +52,10 @@ class PayloadReport:
         ``ok``; ``missing``: the container is not where it should be; ``full``: no room for another;
         ``unknown``: an action or container the script knows nothing of.
     value
-        In-situ reading of a collected sample, in the field's unit; to nine digits.
+        In-situ reading of a collected sample, in the field's unit; to as many digits as there is room for.
+    run
+        Of the mission that asked for the action (`VehicleMission.run`); 0 where none was told, or where a
+        script from before runs were numbered says none.
     """
 
     number: int
@@ -56,6 +63,7 @@ class PayloadReport:
     tag: int
     result: Result
     value: float | None = None
+    run: int = 0
 
     @property
     def ok(self) -> bool:
@@ -64,11 +72,14 @@ class PayloadReport:
 
 
 def format_confirmation(
-    number: int, action: Action, tag: int, result: Result, value: float | None = None
+    number: int, action: Action, tag: int, result: Result, value: float | None = None, run: int = 0
 ) -> str:
-    """Return the text of a confirmation, at most `MAX_TEXT` characters."""
-    reading = "" if value is None else f" v={value:.9g}"
-    return f"MLP {number} {action} {tag} {result}{reading}"
+    """Return the text of a confirmation, at most `MAX_TEXT` characters: a reading is rounded to fit."""
+    text = f"MLP {number} {action} {tag} {result}" + (f" k={run}" if run else "")
+    if value is None:
+        return text
+    roundings = (f"{text} v={value:.{digits}g}" for digits in range(_MOST_DIGITS, 0, -1))
+    return next(rounded for rounded in roundings if len(rounded) <= MAX_TEXT)
 
 
 def parse_confirmation(text: str) -> PayloadReport | None:
@@ -80,7 +91,12 @@ def parse_confirmation(text: str) -> PayloadReport | None:
     if match["value"] is not None and value is None:
         return None
     return PayloadReport(
-        int(match["number"]), Action(match["action"]), int(match["tag"]), cast(Result, match["result"]), value
+        int(match["number"]),
+        Action(match["action"]),
+        int(match["tag"]),
+        cast(Result, match["result"]),
+        value,
+        int(match["run"] or 0),
     )
 
 

@@ -17,6 +17,8 @@ from malipp_field.mission.vehicles import PayloadProfile
 
 MAX_TAG = 32767
 """Container tags travel in an int16 of NAV_SCRIPT_TIME."""
+MAX_RUN = 2**14 - 1
+"""The number of a run shares an int16 of NAV_SCRIPT_TIME with one bit."""
 
 
 class Action(StrEnum):
@@ -77,7 +79,17 @@ class VehicleMission(StrictModel):
     home: GeoPoint
     steps: tuple[Step, ...] = Field(strict=False)
     payload: PayloadProfile = PayloadProfile()
+    run: Annotated[int, Field(ge=0, le=MAX_RUN)] = 0
+    """Tells confirmations of this run of the mission from those of earlier ones; 0: none is told."""
 
     def index_of(self, uid: str) -> int | None:
         """Return the index of a step, or `None` when this mission does not contain it."""
         return next((i for i, step in enumerate(self.steps) if step.uid == uid), None)
+
+
+def run_at(time_s: float) -> int:
+    """Return the number of a run that begins at a time (seconds since the Unix epoch).
+
+    It counts minutes, and comes back after eleven days: nothing unheard is kept on a vehicle for so long.
+    """
+    return 1 + int(time_s // 60.0) % MAX_RUN

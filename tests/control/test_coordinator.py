@@ -16,7 +16,7 @@ from malipp_field.clock import SimClock
 from malipp_field.control import Coordinator, Outcome, Planner
 from malipp_field.mission import Mission, TeamState
 from malipp_field.plan import Plan, RobotPlan, Stop
-from malipp_field.vehicle.steps import Action
+from malipp_field.vehicle.steps import Action, run_at
 
 WALL_LIMIT_S = 60.0
 
@@ -125,6 +125,9 @@ def test_a_replan_reaches_all_vehicles_before_any_of_them_goes_on() -> None:
     assert "late at far" in flight.plans[1].reason
     for agent in flight.agents.values():
         assert agent.orders[:4] == ["load", "start", "load", "start"]
+    runs = {mission.run for adopted in flight.plans for mission in adopted.missions}
+    assert len(runs) == 1, "confirmations are told from those of earlier missions by it"
+    assert run_at(1000.0) <= runs.pop() <= run_at(flight.outcome.start_s)
     # Everybody went home without a sample; what was promised is withdrawn, nothing is missing.
     assert {r.state for r in flight.coordinator.ledger.records.values()} == {"withdrawn"}
 

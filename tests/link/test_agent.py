@@ -12,6 +12,7 @@ from malipp_field.link import Agent
 from malipp_field.link.agent import TELEMETRY_S
 from malipp_field.link.compare import differences
 from malipp_field.sim import RoverConfig
+from malipp_field.sim.mission_run import RunState
 from malipp_field.vehicle.layout import lay_out
 from malipp_field.vehicle.steps import Action
 
@@ -337,6 +338,42 @@ def test_a_second_mission_without_a_restart_of_the_vehicle_is_heard_as_well() ->
     yard.cut, yard.bus = False, FakeBus()
     yard.agent = Agent("yard", "scout", WHERE, yard, yard.bus, yard.clock)
     yard.run(second)
+
+
+def test_what_was_left_unheard_by_an_earlier_run_is_no_confirmation_of_this_one() -> None:
+    """The same steps, names and tags, in the morning and in the afternoon; another agent in between."""
+    work = ("drive a", "collect a 1", "collect a 2", "drive base", "unload base 1", "unload base 2")
+
+    async def load(yard: Yard, run: int) -> None:
+        mission = yard.mission(*work).model_copy(update={"run": run})
+        assert (await yard.order(Load(mission=mission))).ok
+
+    async def morning(yard: Yard) -> None:
+        await load(yard, 400)
+        yard.on_send = lambda message: setattr(yard, "cut", message.get_type() == "NAMED_VALUE_INT")
+        assert (await yard.order(Start())).ok
+        await yard.until(lambda: yard.rover.autopilot.run.state is RunState.COMPLETE)
+        assert len(yard.rover.autopilot.script.due(yard.clock.now_s() + 2.0)) == 4
+
+    async def afternoon(yard: Yard) -> None:
+        await load(yard, 401)
+        await yard.live(20.0)
+        assert (yard.confirmed, yard.agent.progress.done) == ([], set())
+        assert [text for text in yard.events if "confirmation" in text] == [
+            f"a confirmation of an earlier mission: {action} of container {tag}, ok"
+            for action in ("collect", "unload") for tag in (1, 2)
+        ]  # fmt: skip
+        assert yard.rover.autopilot.script.due(1e12) == []
+        assert (await yard.order(Start())).ok
+        await yard.until(lambda: yard.telemetry.finished)
+        assert yard.confirmed == [(n, uid, True) for n, uid in enumerate(work[1:3] + work[4:], start=1)]
+        assert len(yard.world.delivered()) == 4
+
+    yard = Yard()
+    yard.run(morning)
+    yard.cut, yard.bus, yard.on_send = False, FakeBus(), lambda message: None
+    yard.agent = Agent("yard", "scout", WHERE, yard, yard.bus, yard.clock)
+    yard.run(afternoon)
 
 
 def test_a_vehicle_that_is_not_heard_is_told_to_hold_all_the_same() -> None:

@@ -179,6 +179,42 @@ def test_a_new_mission_may_use_the_tags_again_and_a_hold_on_the_way_is_none(rove
     assert done(rover, COLLECT, 1)[0] == "MLP 4 collect 1 ok"
 
 
+def test_another_run_may_use_the_tags_again_whatever_is_on_board(rover: Scripted) -> None:
+    def y_of(run: int) -> int:
+        return 2 * run
+
+    assert done(rover, COLLECT, 1, y_of(400)) == ["MLP 1 collect 1 ok k=400"]
+    assert done(rover, COLLECT, 1, y_of(400)) == ["MLP 2 collect 1 ok k=400"]  # done here already
+    assert rover.parameter("ABOARD") == 1.0
+    rover.outputs()
+    assert done(rover, COLLECT, 1, y_of(401)) == ["MLP 3 collect 1 ok k=401"]
+    assert (len(rover.outputs()), rover.parameter("ABOARD")) == (2, 2.0)
+    assert done(rover, UNLOAD, 1, y_of(401)) == ["MLP 4 unload 1 ok k=401"]
+    assert done(rover, UNLOAD, 7, y_of(401)) == ["MLP 5 unload 7 ok k=401"]  # of before, whatever its tag
+    assert done(rover, UNLOAD, 1, y_of(402) + 1) == ["MLP 6 unload 1 missing k=402"]
+    assert (rover.ended, rover.mode) == (True, AUTO)
+
+
+def test_a_vehicle_armed_again_in_the_same_run_remembers_what_it_did(rover: Scripted) -> None:
+    for action in (COLLECT, UNLOAD):
+        done(rover, action, 1, 2 * 400)
+    rover.set("S.armed = true")
+    rover.run(0.2)
+    rover.outputs()
+    assert done(rover, UNLOAD, 1, 2 * 400) == ["MLP 3 unload 1 ok k=400"]
+    assert rover.outputs() == []
+
+
+def test_what_was_put_down_is_not_looked_for_among_what_is_on_board_from_before_a_restart() -> None:
+    rover = Scripted(RELAY_THERE, **(ALL | {"ABOARD": 2}))
+    assert done(rover, DROP, 1)[0] == "MLP 1 drop 1 ok"
+    rover.outputs()
+    assert done(rover, DROP, 1) == ["MLP 2 drop 1 ok"]  # after a hold: done here already
+    rover.set("S.place = { 50.0, 0.0 }")
+    assert done(rover, UNLOAD, 1)[1] == "MLP 3 unload 1 missing"
+    assert (rover.outputs(), rover.parameter("ABOARD")) == ([], 1.0)
+
+
 def test_an_action_that_is_broken_off_is_put_to_rest_and_begun_anew(rover: Scripted) -> None:
     rover.ask(COLLECT, 1)
     rover.run(1.0)

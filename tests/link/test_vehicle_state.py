@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import itertools
 import random
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -241,6 +242,32 @@ def test_a_single_late_report_opens_no_gate() -> None:
 
 def test_confirmation_of_what_no_mission_has() -> None:
     assert under_way().step_of(PayloadReport(1, Action.UNLOAD, 5, "ok")) is None
+
+
+def test_a_confirmation_of_another_run_is_of_no_step() -> None:
+    report = PayloadReport(1, Action.COLLECT, 5, "ok")
+    for known, told, found in ((0, 0, True), (0, 3, False), (7, 7, True), (7, 3, False), (7, 0, True)):
+        progress = Progress()
+        assert not progress.precedes(replace(report, run=told))  # nothing known to be before
+        progress.adopt(WORK.model_copy(update={"run": known}))
+        assert (progress.step_of(replace(report, run=told)) is not None) == found
+        assert progress.precedes(replace(report, run=told)) != found
+
+
+def test_in_another_run_nothing_is_done_yet() -> None:
+    progress = under_way()
+    for _ in range(2):
+        progress.report(2, complete=False)
+    progress.failed["collect/1/5"] = "full"
+    again = WORK.model_copy(update={"run": 7})
+    progress.adopt(again)
+    assert (progress.done, progress.failed, progress.under_way) == (set(), {}, False)
+    assert progress.resumption(again) == 1
+    progress.follow(1)
+    for _ in range(2):
+        progress.report(2, complete=False)
+    progress.adopt(again.model_copy(update={"version": 2}))
+    assert (progress.done, progress.under_way) == ({"drive/1/0"}, True)
 
 
 def test_objections() -> None:

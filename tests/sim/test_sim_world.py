@@ -115,6 +115,21 @@ def test_a_repeated_request_is_confirmed_again_and_done_once() -> None:
     assert world.act("scout", Action.COLLECT, 7, A) == first
 
 
+def test_in_another_run_the_tags_are_given_anew() -> None:
+    world = World(site())
+    world.begin_run(3)
+    world.act("scout", Action.COLLECT, 7, A)
+    world.act("scout", Action.COLLECT, 8, A)
+    world.act("scout", Action.DROP, 8, A)
+    world.begin_run(3)
+    assert world.act("carrier", Action.COLLECT, 7, A).result == "unknown"
+    world.begin_run(4)
+    assert world.act("carrier", Action.COLLECT, 7, A).result == "ok"
+    assert (world.on_board("carrier"), len(world.on_board("scout")), len(world.caches())) == ([7], 1, 1)
+    assert world.act("scout", Action.DROP, 9, B).result == "ok"  # whatever it is, it is labelled now
+    assert world.caches()[9] == B
+
+
 def test_having_picked_it_elsewhere_does_not_excuse_a_missing_container() -> None:
     world = World(site())
     world.act("scout", Action.COLLECT, 7, A)

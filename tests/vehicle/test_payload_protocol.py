@@ -10,7 +10,7 @@ from malipp_field.vehicle.payload_protocol import (
     format_confirmation,
     parse_confirmation,
 )
-from malipp_field.vehicle.steps import MAX_TAG, Action
+from malipp_field.vehicle.steps import MAX_RUN, MAX_TAG, Action
 
 
 @settings(deadline=None)
@@ -18,24 +18,36 @@ from malipp_field.vehicle.steps import MAX_TAG, Action
     number=st.integers(1, 2**32 - 1),
     action=st.sampled_from(Action),
     tag=st.integers(0, MAX_TAG),
-    value=st.none() | st.floats(allow_nan=False, allow_infinity=False),
+    value=st.none() | st.floats(allow_nan=False, allow_infinity=False, width=32),
+    run=st.integers(0, MAX_RUN),
 )
 def test_a_confirmation_survives_the_way_and_fits_into_one_statustext(
-    number: int, action: Action, tag: int, value: float | None
+    number: int, action: Action, tag: int, value: float | None, run: int
 ) -> None:
-    text = format_confirmation(number, action, tag, "ok", value)
+    text = format_confirmation(number, action, tag, "ok", value, run)
     report = parse_confirmation(text)
     assert len(text.encode("ascii")) <= MAX_TEXT
     assert report is not None
-    assert (report.number, report.action, report.tag, report.ok) == (number, action, tag, True)
+    assert (report.number, report.action, report.tag, report.ok, report.run) == (
+        number, action, tag, True, run,
+    )  # fmt: skip
     if value is None:
         assert report.value is None
-    else:
+    elif number < 100 or run == 0:
         assert report.value == pytest.approx(value, rel=1e-8)
+    else:
+        assert report.value == pytest.approx(value, rel=0.5)  # rounded to the room there is
+
+
+def test_the_longest_confirmation_has_room_for_one_digit_of_a_reading() -> None:
+    text = format_confirmation(2**32 - 1, Action.COLLECT, MAX_TAG, "ok", -1.23456789e-300, MAX_RUN)
+    assert text == "MLP 4294967295 collect 32767 ok k=16383 v=-1e-300"
+    assert len(text) == MAX_TEXT - 1
 
 
 def test_the_texts_are_the_contract_with_the_script_on_board() -> None:
     assert format_confirmation(3, Action.COLLECT, 17, "ok", 0.25) == "MLP 3 collect 17 ok v=0.25"
+    assert format_confirmation(3, Action.DROP, 17, "ok", 0.25, 12) == "MLP 3 drop 17 ok k=12 v=0.25"
     assert format_confirmation(4, Action.PICK, 17, "missing") == "MLP 4 pick 17 missing"
     assert parse_confirmation("MLP 4 pick 17 missing\0\0") == PayloadReport(4, Action.PICK, 17, "missing")
     report = parse_confirmation("MLP 5 pick 17 full")
@@ -56,6 +68,9 @@ def test_the_texts_are_the_contract_with_the_script_on_board() -> None:
         "MLP 1 collect 17 ok v=much",
         f"MLP 1 collect 17 ok v={math.inf}",
         "MLP 1 collect 17 ok v=1 2",
+        "MLP 1 collect 17 ok k=0",
+        "MLP 1 collect 17 ok k=-3",
+        "MLP 1 collect 17 ok v=1 k=3",
         "xMLP 1 collect 17 ok",
     ],
 )

@@ -17,10 +17,11 @@ from malipp_field.mission.vehicles import (
     PayloadProfile,
     VehicleSettings,
 )  # fmt: skip
+from malipp_field.sim.payload import goes_on_without
 from malipp_field.vehicle.compile import Compiled, compile_plan
 from malipp_field.vehicle.items import MissionItem
 from malipp_field.vehicle.layout import Layout, confirmed_by, gate_code, held_for_operator, lay_out
-from malipp_field.vehicle.steps import Action, GeoPoint, Step, VehicleMission
+from malipp_field.vehicle.steps import MAX_RUN, Action, GeoPoint, Step, VehicleMission, run_at
 
 WAYPOINT, LOITER, DELAY, SERVO, RELAY, GRIPPER, SCRIPT = 16, 17, 93, 183, 181, 211, 42702
 PLACE = GeoPoint(lat_deg=34.0, lon_deg=-118.0)
@@ -169,6 +170,23 @@ def test_a_step_of_several_items_goes_on_where_it_was_left() -> None:
     assert progress.resumption(new) == 6
     progress.done.add("drive/3")
     assert progress.resumption(new) is None
+
+
+def test_scripted_actions_tell_the_run_and_whether_to_go_on() -> None:
+    steps = (step(Action.COLLECT), step(Action.WAIT), step(Action.PICK, if_missing="go_on"))
+    untold = VehicleMission(robot="r", version=1, home=PLACE, steps=steps)
+    for run, ys in ((0, [0, 0, 1]), (5, [10, 0, 11]), (MAX_RUN, [32766, 0, 32767])):
+        items = lay_out(untold.model_copy(update={"run": run})).items[1:]
+        assert [item.y for item in items] == ys
+        assert [goes_on_without(item) for item in items] == [False, False, True]
+
+
+def test_the_number_of_a_run_is_the_minute_of_its_start() -> None:
+    assert [run_at(time_s) for time_s in (0.0, 59.9, 60.0)] == [1, 1, 2]
+    assert run_at(60.0 * (MAX_RUN - 1)) == MAX_RUN
+    assert run_at(60.0 * MAX_RUN) == 1
+    assert {m.run for m in compile_plan(SMALL, handoff_plan(), run=9).missions.values()} == {9}
+    assert {m.run for m in compile_plan(SMALL, handoff_plan()).missions.values()} == {0}
 
 
 def test_a_time_gate_opens_when_the_pick_is_due_and_a_margin_later() -> None:

@@ -7,7 +7,8 @@
 --
 -- Of the item, param 1 is the action, param 4 the number of containers (1) and x the container's tag. y of a
 -- wait is the time of day at which its gate opens, as 1 + seconds / 4, or 0: only the ground opens it. y of
--- an action is 1 where the mission goes on although the container is not there.
+-- an action is odd where the mission goes on although the container is not there, and half of it the number
+-- of the run: the ground tells by it what was confirmed for an earlier mission with the same tags.
 --
 -- How to put it on a vehicle, and what its parameters mean: docs/vehicles.md of malipp-field.
 
@@ -65,7 +66,8 @@ end
 local began = millis()
 local own_system = param:get("MAV_SYSID") or param:get("SYSID_THISMAV")
 local aboard = {} -- tags known to be on board
-local done = {} -- what was done last, and where
+local done = {} -- what was done last in this run, and where
+local run = 0 -- the run of the last action; 0 where the ground tells none
 local unheard, heard = {}, 0 -- confirmations not acknowledged, and how many were before them
 local sent_ms = {} -- when those that are repeated just now were sent
 local job -- the item being carried out
@@ -80,7 +82,11 @@ end
 
 local function confirm(action, tag, result)
   local number = heard + #unheard + 1
-  unheard[#unheard + 1] = string.format("MLP %d %s %d %s", number, NAMES[action], tag, result)
+  local text = string.format("MLP %d %s %d %s", number, NAMES[action], tag, result)
+  if run > 0 then
+    text = string.format("%s k=%d", text, run)
+  end
+  unheard[#unheard + 1] = text
 end
 
 local function acknowledge(number)
@@ -229,6 +235,13 @@ local function count()
   return all, known
 end
 
+-- Another run of a mission gives its tags anew: what is on board from before is not known by them.
+local function enter_run(number)
+  if number ~= run then
+    aboard, done, run = {}, {}, number
+  end
+end
+
 -- Return the last time an action was done to a container, as far as that is remembered.
 local function last(action, tag)
   for i = #done, 1, -1 do
@@ -251,7 +264,9 @@ local function objection(action, tag, containers)
   local all, known = count()
   local why
   if action == DROP or action == UNLOAD then
-    why = not aboard[tag] and all == known and "missing"
+    -- One of unknown tag may be it, but not if that one was put down already: another would go with it.
+    local gone = all == known or last(DROP, tag) or last(UNLOAD, tag)
+    why = not aboard[tag] and gone and "missing"
   elseif action == COLLECT and (last(COLLECT, tag) or last(PICK, tag)) then
     why = "unknown"
   elseif aboard[tag] then
@@ -302,7 +317,8 @@ local function begin(id, action, containers, tag, y)
     job.over = true
     refuse(string.format("MLP unknown action code %d", action))
   else
-    job.lenient = y == 1
+    enter_run(y // 2)
+    job.lenient = y % 2 == 1
     local why = objection(action, tag, containers)
     if not why then
       job.rest = work(action)
@@ -343,10 +359,10 @@ local function go_on()
   end
 end
 
--- A vehicle armed with an empty bay and nothing left to tell begins a new mission: its tags count anew.
+-- Where the ground tells no run, a vehicle armed with an empty bay and nothing left to tell begins a new one.
 local function note_arming()
   local is_armed = arming:is_armed()
-  if is_armed and not armed and count() == 0 and #unheard == 0 then
+  if run == 0 and is_armed and not armed and count() == 0 and #unheard == 0 then
     done = {}
   end
   armed = is_armed
