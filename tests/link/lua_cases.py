@@ -19,7 +19,8 @@ HOLD, AUTO = mavlink.ROVER_MODE_HOLD, mavlink.ROVER_MODE_AUTO
 
 _API = """
 S = { now_ms = 123456, mode = 10, heard = {}, inbox = {}, outputs = {}, pins = {}, relays = {}, wh = {},
-      parameters = { MAV_SYSID = 7 }, gps = { status = 3, week = 2390, ms = 0 }, place = { 0.0, 0.0 } }
+      volts = {}, order = {}, parameters = { MAV_SYSID = 7 },
+      gps = { status = 3, week = 2390, ms = 0 }, place = { 0.0, 0.0 } }
 
 local function need(condition, what)
   if not condition then error("bad argument: " .. what, 3) end
@@ -56,6 +57,8 @@ function param:add_table(key, prefix, size)
 end
 function param:add_param(key, index, name, default)
   need(key == S.table[1] and index <= S.table[3], name)
+  need(S.order[index] == nil, name)
+  S.order[index] = name
   name = S.table[2] .. name
   if not S.parameters[name] then S.parameters[name] = default + 0.0 end
   return true
@@ -93,6 +96,13 @@ function relay:off(n) S.outputs[#S.outputs + 1] = { "relay", whole(n, 0, 15), 0 
 gpio = {}
 function gpio:pinMode(pin, mode) need(mode == 0, "output"); S.input = whole(pin, 0, 255) end
 function gpio:read(pin) need(pin == S.input, "no input"); return S.pins[pin] or false end
+
+local source = {}
+source.__index = source
+function source:set_pin(pin) self.pin = whole(pin, 0, 255); return S.volts[pin] ~= nil end
+function source:voltage_average() return S.volts[self.pin] end
+analog = {}
+function analog:channel() return setmetatable({}, source) end
 
 battery = {}
 function battery:num_instances() return #S.wh end

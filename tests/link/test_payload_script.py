@@ -8,7 +8,7 @@ import pytest
 from lua_cases import AUTO, HOLD, Scripted, named_int, structure
 
 from malipp_field.vehicle.layout import ACTION_CODES, gate_code
-from malipp_field.vehicle.payload_protocol import ack_name, parse_confirmation
+from malipp_field.vehicle.payload_protocol import PayloadReport, ack_name, parse_confirmation
 from malipp_field.vehicle.steps import Action
 
 WAIT, COLLECT, DROP, PICK, UNLOAD = (ACTION_CODES[a] for a in Action if a in ACTION_CODES)
@@ -203,6 +203,49 @@ def test_a_vehicle_armed_again_in_the_same_run_remembers_what_it_did(rover: Scri
     rover.outputs()
     assert done(rover, UNLOAD, 1, 2 * 400) == ["MLP 3 unload 1 ok k=400"]
     assert rover.outputs() == []
+
+
+def test_a_reading_is_taken_at_the_end_of_a_collect_and_told_again_as_it_was() -> None:
+    rover = Scripted(
+        f"{RELAY_THERE}; S.volts[13] = 9.0", **(ALL | {"VAL_PIN": 13, "VAL_MUL": 2, "VAL_ADD": -1})
+    )
+    rover.ask(COLLECT, 1, y=2 * 400)
+    rover.run(2.9)
+    rover.set("S.volts[13] = 2.123456789")
+    rover.run(0.2)
+    rover.set("S.volts[13] = 7.0")
+    rover.run(0.1)
+    assert rover.take() == ["MLP script ready, 0 on board", "MLP 1 collect 1 ok k=400 v=3.24691"]
+    rover.acknowledge(1)
+    assert done(rover, COLLECT, 1, y=2 * 400) == ["MLP 2 collect 1 ok k=400 v=3.24691"]
+    assert done(rover, DROP, 1, y=2 * 400) == ["MLP 3 drop 1 ok k=400"]
+    rover.set("S.volts[13] = 0.0/0.0")
+    assert done(rover, COLLECT, 2) == ["MLP 4 collect 2 ok"]
+
+
+def test_the_longest_text_of_a_vehicle_that_has_confirmed_a_hundred_thousand_fits() -> None:
+    """The stand-in refuses a longer one; a number of seven digits would not be reached in years."""
+    rover = Scripted(f"{RELAY_THERE}; S.volts[13] = -1.2345678e-30", **(ALL | {"VAL_PIN": 13}))
+    rover.ask(COLLECT, 32767, y=32766)
+    rover.run(3.3)
+    text = rover.take()[-1]
+    assert text == "MLP 1 collect 32767 ok k=16383 v=-1.23457e-30"
+    assert len(text) + len("99999") <= 50
+    assert parse_confirmation(text) == PayloadReport(1, Action.COLLECT, 32767, "ok", -1.23457e-30, 16383)
+
+
+def test_an_input_that_is_none_is_told_at_the_start() -> None:
+    with pytest.raises(Exception, match="MLP: no analog input 13"):
+        Scripted("", VAL_PIN=13)
+
+
+def test_parameters_keep_their_places_and_there_is_room_for_more(rover: Scripted) -> None:
+    """A vehicle keeps values by place, and gives a script that is loaded again no larger table."""
+    words = [f"{word}_{what}" for word in ("COL", "DRP", "PIK", "UNL")
+             for what in ("TYPE", "NUM", "ON", "OFF", "TIME")]  # fmt: skip
+    names = ["CAP", "ABOARD", "SW_PIN", "SW_ON", *words, "VAL_PIN", "VAL_MUL", "VAL_ADD"]
+    assert list(rover.state.order.values()) == names
+    assert len(names) < rover.state.table[3]
 
 
 def test_what_was_put_down_is_not_looked_for_among_what_is_on_board_from_before_a_restart() -> None:

@@ -43,7 +43,7 @@ local function whole(parameter)
 end
 
 assert(FWVersion:type() == ROVER, "MLP: this script is for Rover")
-assert(param:add_table(TABLE_KEY, PREFIX, 24), "MLP: no parameter table")
+assert(param:add_table(TABLE_KEY, PREFIX, 32), "MLP: no parameter table")
 local CAPACITY = add_parameter("CAP", 1) -- containers that fit on board
 local ABOARD = add_parameter("ABOARD", 0) -- containers on board; survives a restart
 local SWITCH_PIN = add_parameter("SW_PIN", -1) -- input that tells of a container passing; -1: none
@@ -60,6 +60,10 @@ for action, word in ipairs({ false, "COL", "DRP", "PIK", "UNL" }) do
     }
   end
 end
+-- What a vehicle has stored goes by the order of the parameters: new ones come last.
+local VALUE_PIN = add_parameter("VAL_PIN", -1) -- analog input that measures what is collected; -1: none
+local VALUE_MUL = add_parameter("VAL_MUL", 1) -- the reading is its volts times this ...
+local VALUE_ADD = add_parameter("VAL_ADD", 0) -- ... and this
 
 -- What there is to remember --------------------------------------------------------------------------------
 
@@ -72,6 +76,7 @@ local unheard, heard = {}, 0 -- confirmations not acknowledged, and how many wer
 local sent_ms = {} -- when those that are repeated just now were sent
 local job -- the item being carried out
 local armed = false
+local sensor -- the analog input
 local energy_sent_ms, energy_at_start_wh
 
 local function now_ms()
@@ -80,11 +85,14 @@ end
 
 -- Confirmations --------------------------------------------------------------------------------------------
 
-local function confirm(action, tag, result)
+local function confirm(action, tag, result, value)
   local number = heard + #unheard + 1
   local text = string.format("MLP %d %s %d %s", number, NAMES[action], tag, result)
   if run > 0 then
     text = string.format("%s k=%d", text, run)
+  end
+  if value then
+    text = string.format("%s v=%.6g", text, value)
   end
   unheard[#unheard + 1] = text
 end
@@ -201,6 +209,14 @@ local function container_seen()
   return pin < 0 or gpio:read(pin) == (whole(SWITCH_ON) == 1)
 end
 
+-- Return the mean reading since this was last called, or nil where there is none.
+local function reading()
+  local value = sensor and sensor:voltage_average() * VALUE_MUL:get() + VALUE_ADD:get()
+  if value and value - value == 0 then -- neither infinite nor not a number
+    return value
+  end
+end
+
 local function second_of_day()
   local receiver = gps:primary_sensor()
   if gps:status(receiver) < gps.GPS_OK_FIX_3D or gps:time_week(receiver) == 0 then
@@ -277,7 +293,7 @@ local function objection(action, tag, containers)
   return why and (done_here(action, tag) and "ok" or why) or nil
 end
 
-local function book(action, tag)
+local function book(action, tag, value)
   local all = count()
   if action == COLLECT or action == PICK then
     aboard[tag] = true
@@ -286,7 +302,7 @@ local function book(action, tag)
     aboard[tag] = nil
     ABOARD:set_and_save(math.max(0, all - 1))
   end
-  done[#done + 1] = { action = action, tag = tag, place = ahrs:get_location() }
+  done[#done + 1] = { action = action, tag = tag, place = ahrs:get_location(), value = value }
   if #done > MEMORY then
     table.remove(done, 1)
   end
@@ -301,7 +317,8 @@ end
 
 local function finish(result)
   job.over = true
-  confirm(job.action, job.tag, result)
+  local booked = result == "ok" and last(job.action, job.tag) -- just now, or when it was done
+  confirm(job.action, job.tag, result, booked and booked.value)
   if result == "ok" or (result == "missing" and job.lenient) then
     vehicle:nav_script_time_done(job.id)
   else
@@ -350,10 +367,11 @@ local function go_on()
     return
   end
   job.seen = job.seen or container_seen()
+  local value = job.action == COLLECT and reading() or nil
   if now_ms() - job.since_ms >= job.time_ms then
     rest()
     if job.seen then
-      book(job.action, job.tag)
+      book(job.action, job.tag, value)
     end
     finish(job.seen and "ok" or "missing")
   end
@@ -401,6 +419,10 @@ end
 
 if whole(SWITCH_PIN) >= 0 then
   gpio:pinMode(whole(SWITCH_PIN), 0)
+end
+if whole(VALUE_PIN) >= 0 then
+  sensor = analog:channel()
+  assert(sensor and sensor:set_pin(whole(VALUE_PIN)), "MLP: no analog input " .. whole(VALUE_PIN))
 end
 mavlink:init(4, 4) -- versions differ in which of the two is the number of messages and which the queue
 mavlink:register_rx_msgid(NAMED_VALUE_INT)
