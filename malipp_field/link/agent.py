@@ -274,7 +274,7 @@ class Agent:
     def _script_says(self, report: PayloadReport) -> None:
         if self.progress.precedes(report):
             what = f"{report.action} of container {report.tag}, {report.result}"
-            self._event("info", f"a confirmation of an earlier mission: {what}")
+            self._event("warning", f"a confirmation of an earlier mission: {what}")
             return
         step = self.progress.step_of(report)
         if step is not None and step.uid in self.progress.done:

@@ -173,8 +173,11 @@ class Progress:
         return None
 
     def precedes(self, report: PayloadReport) -> bool:
-        """Whether a confirmation is of another run, and so of an earlier one; one that tells none is not."""
-        return bool(self._known) and report.run not in (0, self._known[0].run)
+        """Whether a confirmation is of another run than the missions here, and so of an earlier one.
+
+        One that tells none is of a mission without a number, such as one uploaded with nobody to hear it.
+        """
+        return bool(self._known) and report.run != self._known[0].run
 
     def step_of(self, report: PayloadReport) -> Step | None:
         """Return the step a confirmation belongs to, or None when no mission so far has such a step."""

@@ -54,8 +54,7 @@ class PayloadReport:
     value
         In-situ reading of a collected sample, in the field's unit; to as many digits as there is room for.
     run
-        Of the mission that asked for the action (`VehicleMission.run`); 0 where none was told, or where a
-        script from before runs were numbered says none.
+        Of the mission that asked for the action (`VehicleMission.run`); 0 where it told none.
     """
 
     number: int

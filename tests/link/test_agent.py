@@ -340,7 +340,8 @@ def test_a_second_mission_without_a_restart_of_the_vehicle_is_heard_as_well() ->
     yard.run(second)
 
 
-def test_what_was_left_unheard_by_an_earlier_run_is_no_confirmation_of_this_one() -> None:
+@pytest.mark.parametrize("earlier", [400, 0])
+def test_what_was_left_unheard_by_an_earlier_run_is_no_confirmation_of_this_one(earlier: int) -> None:
     """The same steps, names and tags, in the morning and in the afternoon; another agent in between."""
     work = ("drive a", "collect a 1", "collect a 2", "drive base", "unload base 1", "unload base 2")
 
@@ -349,7 +350,7 @@ def test_what_was_left_unheard_by_an_earlier_run_is_no_confirmation_of_this_one(
         assert (await yard.order(Load(mission=mission))).ok
 
     async def morning(yard: Yard) -> None:
-        await load(yard, 400)
+        await load(yard, earlier)
         yard.on_send = lambda message: setattr(yard, "cut", message.get_type() == "NAMED_VALUE_INT")
         assert (await yard.order(Start())).ok
         await yard.until(lambda: yard.rover.autopilot.run.state is RunState.COMPLETE)

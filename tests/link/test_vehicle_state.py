@@ -246,7 +246,7 @@ def test_confirmation_of_what_no_mission_has() -> None:
 
 def test_a_confirmation_of_another_run_is_of_no_step() -> None:
     report = PayloadReport(1, Action.COLLECT, 5, "ok")
-    for known, told, found in ((0, 0, True), (0, 3, False), (7, 7, True), (7, 3, False), (7, 0, True)):
+    for known, told, found in ((0, 0, True), (0, 3, False), (7, 7, True), (7, 3, False), (7, 0, False)):
         progress = Progress()
         assert not progress.precedes(replace(report, run=told))  # nothing known to be before
         progress.adopt(WORK.model_copy(update={"run": known}))
