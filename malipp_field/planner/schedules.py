@@ -31,6 +31,8 @@ MOST_PLACES = 63
 """Places of a robot: those visited are the bits of one word."""
 _FIRST_ROOM = 400_000
 """Labels allowed for listing all schedules of a robot outright."""
+_SMALL_ROOM, _GROWTH = 10_000, 12
+"""Labels allowed at first, and their growth: clearing room for a million takes longer than most lists."""
 _PRICING_ROOM = 100_000
 """Labels allowed for pricing; with more it ends with a bound."""
 _AT_ONCE = 40
@@ -103,9 +105,14 @@ class Robot:
 
         All schedules of value ``least`` or more are among them; others may be.
         """
-        count, codes, mask, place, load, energy, _ = enumerate_labels(self.actor, gain, least, room)
-        if count < 0:
-            return None
+        tried = min(_SMALL_ROOM, room)
+        while True:
+            count, codes, mask, place, load, energy, _ = enumerate_labels(self.actor, gain, least, tried)
+            if count >= 0:
+                break
+            if tried == room:
+                return None
+            tried = min(_GROWTH * tried, room)
         label, spent = complete_schedules(self.actor, count, codes, mask, place, load, energy)
         return codes[label], spent
 
