@@ -405,22 +405,23 @@ def price_labels(actor, gain, must, exact_load, least, room, enough):  # type: i
     H = 2 * K + 1
     bound, step, slack = completion(actor, gain)
     levels = bound.shape[2]
-    mask = np.zeros(room, np.uint64)
-    place = np.zeros(room, np.int16)
-    load = np.zeros(room, np.int16)
-    code_of = np.zeros(room, np.int16)
-    energy = np.zeros(room)
-    value = np.zeros(room)
-    parent = np.full(room, -1, np.int32)
-    dead = np.zeros(room, np.bool_)
-    done = np.zeros(room, np.bool_)
-    keys = np.zeros(room)
-    heap = np.zeros(room, np.int32)
+    # empty: clearing all of it would take longer than most searches
+    mask = np.empty(room, np.uint64)
+    place = np.empty(room, np.int16)
+    load = np.empty(room, np.int16)
+    code_of = np.empty(room, np.int16)
+    energy = np.empty(room)
+    value = np.empty(room)
+    parent = np.empty(room, np.int32)
+    dead = np.empty(room, np.bool_)
+    done = np.empty(room, np.bool_)
+    keys = np.empty(room)
+    heap = np.empty(room, np.int32)
     waiting = 0
-    follows = np.full(room, -1, np.int32)
+    follows = np.empty(room, np.int32)
     first = np.full(P, -1, np.int32)
-    found = np.zeros(room, np.int32)
-    worths = np.zeros(room)
+    found = np.empty(room, np.int32)
+    worths = np.empty(room)
     n_found = 0
     limit = actor.budget * (1.0 + 1e-9) + 1e-12
     # loops, since loading what uses NumPy's own reductions imports all of scipy.linalg
@@ -525,7 +526,7 @@ def price_labels(actor, gain, must, exact_load, least, room, enough):  # type: i
                     k = count
                     mask[k], place[k], load[k], code_of[k] = seen_now, v, after, code - K
                     energy[k], value[k], parent[k] = spent, new, i
-                    follows[k] = first[v]
+                    follows[k], dead[k], done[k] = first[v], False, False
                     first[v] = k
                     count += 1
                     total = spent + way_home(actor, v, seen_now) * (
