@@ -112,7 +112,7 @@ class Robot:
                 break
             if tried == room:
                 return None
-            tried = min(_GROWTH * tried, room)
+            tried = _GROWTH * tried if 2 * _GROWTH * tried < room else room
         label, spent = complete_schedules(self.actor, count, codes, mask, place, load, energy)
         return codes[label], spent
 
