@@ -38,6 +38,7 @@ def run(
     limit came first.
     """
     from malipp_field.cli.whole_run import RESULTS, whole_run
+    from malipp_field.clock import WallClock
     from malipp_field.mission import read_mission
     from malipp_field.plan import write_plan
 
@@ -51,7 +52,7 @@ def run(
     write_plan(found, output / "plan.json")
     show_plan(mission, found)
     stop_without_routes(found)
-    if show_faults(mission, found):
+    if show_faults(mission, found, WallClock().now_s()):
         raise PlanError("the missions of the plan are not to be uploaded")
     if not whole_run(mission, mission_file, found, output, speed, listen):
         raise typer.Exit(INCOMPLETE)

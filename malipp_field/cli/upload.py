@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Iterable, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 from contextlib import AsyncExitStack
 from functools import partial
 from pathlib import Path
@@ -20,9 +20,11 @@ from malipp_field.errors import InputError, LinkError, PlanError
 if TYPE_CHECKING:
     from malipp_field.link.contact import Contact
     from malipp_field.link.mission_protocol import MissionType
+    from malipp_field.link.transaction import Member
     from malipp_field.mission import Mission
     from malipp_field.plan import Plan
     from malipp_field.vehicle.items import MissionItem
+    from malipp_field.vehicle.steps import VehicleMission
 
     Wanted = dict[str, dict[MissionType, list[MissionItem]]]
 
@@ -58,16 +60,20 @@ def upload(
     they had), 7 when of some vehicle it is not known.
     """
     mission, plan = verified(mission_file, plan_file)
-    wanted = _wanted(mission, plan, _chosen(mission_file, mission, robot), start, fence=fence)
+    missions = _compiled(mission, plan, start)
+    wanted = _wanted(mission, missions, _chosen(mission_file, mission, robot), fence=fence)
+    keepers = [name for name in wanted if missions[name].keeps_time]
     mission = _linked(mission_file, mission, wanted, link, needed=not dry_run)
     if show_faults(mission, plan, start):
         raise InputError(str(plan_file), None, "", "nothing is sent: see the errors above")
+    if keepers and start is not None:
+        _refuse_past(start, keepers)
     if dry_run:
         for name, lists in wanted.items():
             counts = ", ".join(f"{kind.word} ({len(items)})" for kind, items in lists.items())
             typer.echo(f"{name}: {counts} by {mission.vehicle(name).link or 'no link yet'}")
         return
-    states = asyncio.run(_upload(mission, mission_file.parent, wanted, hold=hold))
+    states = asyncio.run(_upload(mission, mission_file.parent, wanted, keepers, hold=hold))
     if "unknown" in states:
         raise typer.Exit(UNKNOWN)
     if "had" in states:
@@ -93,7 +99,8 @@ def vehicles(
     mission, wanted = read_mission(mission_file), None
     robots = _chosen(mission_file, mission, robot)
     if plan_file is not None:
-        wanted = _wanted(*verified(mission_file, plan_file), robots, start, fence=False)
+        mission, plan = verified(mission_file, plan_file)
+        wanted = _wanted(mission, _compiled(mission, plan, start), robots, fence=False)
     mission = _linked(mission_file, mission, robots, link, needed=True)
     lines = asyncio.run(_look(mission, mission_file.parent, robots, wanted))
     for name, (words, _) in lines.items():
@@ -108,12 +115,31 @@ def _chosen(mission_file: Path, mission: Mission, names: Sequence[str] | None) -
     return [robot.id for robot in mission.team.robots if not names or robot.id in names]
 
 
+def _compiled(mission: Mission, plan: Plan, start_s: float | None) -> dict[str, VehicleMission]:
+    from malipp_field.vehicle.compile import compile_plan
+
+    return compile_plan(mission, plan, start_s=start_s).missions
+
+
+def _refuse_past(start_s: float, keepers: Iterable[str]) -> None:
+    """Refuse a start that is over: a team that starts now would come to gates that have opened already."""
+    from malipp_field.clock import WallClock
+    from malipp_field.vehicle.check_times import utc
+
+    late_s = WallClock().now_s() - start_s
+    if late_s > 0.0:
+        raise InputError(
+            "--start", None, "",
+            f"{utc(start_s)} is {late_s:.0f} s ago: the gates of {', '.join(keepers)} would open before the "
+            "drops; give a time to come",
+        )  # fmt: skip
+
+
 def _wanted(
-    mission: Mission, plan: Plan, robots: Sequence[str], start_s: float | None, *, fence: bool
+    mission: Mission, missions: Mapping[str, VehicleMission], robots: Sequence[str], *, fence: bool
 ) -> Wanted:
     """Return what every vehicle is to have. A site without a fence leaves the one that is on board."""
     from malipp_field.link.mission_protocol import MissionType
-    from malipp_field.vehicle.compile import compile_plan
     from malipp_field.vehicle.fence import fence_items, rally_items
     from malipp_field.vehicle.layout import lay_out
 
@@ -122,10 +148,9 @@ def _wanted(
         raise PlanError(
             f"mission '{mission.name}' has no site.origin: an abstract site has no degrees to send"
         )
-    compiled = compile_plan(mission, plan, start_s=start_s).missions
     lists: Wanted = {}
     for name in robots:
-        lists[name] = {MissionType.MISSION: lay_out(compiled[name]).items}
+        lists[name] = {MissionType.MISSION: lay_out(missions[name]).items}
         if fence:
             corners = fence_items(mission, origin)
             lists[name] |= {MissionType.FENCE: corners} if corners else {}
@@ -158,14 +183,19 @@ def _linked(
     return mission.model_copy(update={"vehicles": vehicles})
 
 
-async def _upload(mission: Mission, folder: Path, wanted: Wanted, *, hold: bool) -> list[str]:
+async def _upload(
+    mission: Mission, folder: Path, wanted: Wanted, keepers: Container[str], *, hold: bool
+) -> list[str]:
     from malipp_field.cli.display import ProgressLine, err, out
     from malipp_field.link.transaction import Member, Transaction
 
     doing: dict[str, str] = {}
     async with AsyncExitStack() as stack:
         contacts = await _contacts(stack, mission, folder, wanted)
-        members = [Member(name, contacts[name].driver, lists) for name, lists in wanted.items()]
+        members = [
+            Member(name, contacts[name].driver, lists, keeps_time=name in keepers)
+            for name, lists in wanted.items()
+        ]
         line = stack.enter_context(ProgressLine("uploading"))
 
         def tell(name: str, words: str) -> None:
@@ -177,10 +207,16 @@ async def _upload(mission: Mission, folder: Path, wanted: Wanted, *, hold: bool)
         finally:  # after Ctrl-C as well
             for member in members:
                 (out if member.state == "wanted" else err).print(
-                    f"{member.robot}: {member.words}", soft_wrap=True
+                    f"{member.robot}: {member.words}{_armed(member)}", soft_wrap=True
                 )
             _say_why_unheard(contacts)
     return [member.state for member in members]
+
+
+def _armed(member: Member) -> str:
+    """Return what to know of a vehicle that would set off when somebody sets it to AUTO."""
+    vehicle = member.driver.vehicle
+    return f"; it is armed, in {vehicle.mode}" if vehicle.armed and member.state != "unknown" else ""
 
 
 async def _look(

@@ -9,17 +9,16 @@ from collections.abc import Callable
 from malipp_field.bus.messages import Confirm, Hold, Load, Order, Release, Start
 from malipp_field.errors import LinkError
 from malipp_field.link.compare import differences
-from malipp_field.link.driver import EFFECT_LIMIT_S, Driver
+from malipp_field.link.driver import Driver
 from malipp_field.link.progress import Progress
 from malipp_field.link.replacement import replace_under_way, safe_until_s
+from malipp_field.link.time_of_day import compare_clocks
 from malipp_field.vehicle.layout import lay_out
 from malipp_field.vehicle.payload_protocol import REPEAT_S
 from malipp_field.vehicle.steps import Action, Step, VehicleMission
 
 CONFIRMATION_LIMIT_S = 10 * REPEAT_S
 """How long to wait for the confirmation of a payload step that the vehicle has left behind."""
-CLOCK_LIMIT_S = 10.0
-"""A vehicle that is to keep gates by time may be so far from our time of day, the link's delay included."""
 VERIFIED_FOR_S = 30.0
 """After so long a mission is read once more before the vehicle is set in motion: others can upload, too."""
 
@@ -74,8 +73,8 @@ class Orders:
         if order.resume and vehicle.armed and not under_way:
             raise LinkError("the vehicle is armed, but not by this agent: what it has done is not known")
         self._object_to(order)
-        if any(step.not_before_s is not None for step in mission.steps):
-            await self._compare_clocks()
+        if mission.keeps_time:
+            await compare_clocks(self._driver)
         if order.resume and await self._replace_under_way(mission):
             return f"version {mission.version} is on board and verified; the vehicle was not stopped for it"
         if vehicle.armed or vehicle.mode == "AUTO":
@@ -128,19 +127,6 @@ class Orders:
             self._progress.forget()
             raise LinkError(f"the mission on board is not the verified one any more: {'; '.join(found)}")
         self._verified_s = self._driver.clock.now_s()
-
-    async def _compare_clocks(self) -> None:
-        """See that the vehicle knows the time of day as we do: without it an ArduPilot waits at no gate."""
-        vehicle = self._driver.vehicle
-        if not await self._driver.until(lambda: vehicle.clock_ahead_s is not None, EFFECT_LIMIT_S):
-            raise LinkError("the vehicle does not know the time of day, and its mission has gates by time")
-        ahead_s = vehicle.clock_ahead_s or 0.0
-        if abs(ahead_s) > CLOCK_LIMIT_S:
-            side = "ahead of" if ahead_s > 0.0 else "behind"
-            raise LinkError(
-                f"its clock is {abs(ahead_s):.0f} s {side} this computer's: gates by time would open at "
-                "another; set this computer's clock (UTC)"
-            )
 
     def _object_to(self, order: Load) -> None:
         objection = self._progress.objection(order.mission, order.diverges_at)

@@ -17,6 +17,7 @@ from malipp_field.errors import LinkError
 from malipp_field.link.compare import differences
 from malipp_field.link.driver import Driver
 from malipp_field.link.mission_protocol import MissionType
+from malipp_field.link.time_of_day import compare_clocks
 from malipp_field.vehicle.items import MAV_CMD_NAV_SCRIPT_TIME, MissionItem
 
 OnProgress: TypeAlias = Callable[[str, str], None]
@@ -39,6 +40,8 @@ class Member:
         Its link, at work.
     wanted
         What it is to have: its mission, and its fence and rally points where these are to be replaced, too.
+    keeps_time
+        Whether its mission has gates by time, for which its clock must agree with ours.
     state
         What is on board now: what it ``had``, what is ``wanted``, or ``unknown``.
     fault
@@ -48,6 +51,7 @@ class Member:
     robot: str
     driver: Driver
     wanted: Mapping[MissionType, Sequence[MissionItem]]
+    keeps_time: bool = False
     state: Literal["had", "wanted", "unknown"] = "had"
     fault: str = ""
     _had: dict[MissionType, list[MissionItem]] = field(default_factory=dict)
@@ -65,6 +69,12 @@ class Member:
         mode = self.driver.vehicle.mode
         doing = f"it may be driving, in {mode}" if self._may_drive else "it stands"
         return f"what is on board is not known; as far as is known {doing}; do not start it"
+
+    async def meet(self) -> None:
+        """See that the vehicle is there, and knows the time where its mission needs it."""
+        await self.driver.hear()
+        if self.keeps_time:
+            await compare_clocks(self.driver)
 
     async def stand(self, *, hold: bool) -> None:
         """See that the vehicle is there and does not drive; with ``hold`` make it stop."""
@@ -160,7 +170,7 @@ class Transaction:
         Cancelled, it gives back what was touched before it ends; cancelled once more it ends at once, and
         ``state`` says of whom nothing is known.
         """
-        if not await self._each(self._prepare):
+        if not (await self._each(Member.meet) and await self._each(self._prepare)):
             return False
         try:
             if await self._each(lambda member: member.give(self._on_progress)) and await self._each(

@@ -39,7 +39,7 @@ def check(
     mission, plan
         A verified plan and the mission it is for.
     start_s
-        When mission time 0 is, in seconds since the Unix epoch; without it time gates are not checked.
+        When mission time 0 is, in seconds since the Unix epoch; without it no gate opens by time.
     custody
         Containers on board and in caches when the plan begins, as for `compile_plan`.
     state

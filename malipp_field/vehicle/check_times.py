@@ -50,9 +50,9 @@ def gate_findings(
     gates = [(i, step) for i, step in enumerate(vehicle.steps) if step.action is Action.WAIT]
     settings = mission.vehicle(vehicle.robot)
     if gates and settings.gate == "time" and start_s is None:
-        yield Spot(vehicle.robot).note(
+        yield Spot(vehicle.robot).warning(
             "gates-unknown",
-            "its time gates are not checked: when the mission starts is not known",
+            "no gate opens by time, the ground must open them all: when the mission starts is not known",
             "give --start",
         )
     if start_s is None:

@@ -82,6 +82,11 @@ class VehicleMission(StrictModel):
     run: Annotated[int, Field(ge=0, le=MAX_RUN)] = 0
     """Tells confirmations of this run of the mission from those of earlier ones; 0: none is told."""
 
+    @property
+    def keeps_time(self) -> bool:
+        """Whether a gate of it opens by time."""
+        return any(step.not_before_s is not None for step in self.steps)
+
     def index_of(self, uid: str) -> int | None:
         """Return the index of a step, or `None` when this mission does not contain it."""
         return next((i for i, step in enumerate(self.steps) if step.uid == uid), None)

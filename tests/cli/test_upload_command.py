@@ -7,18 +7,21 @@ import socket
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from malipp_field.cli.app import main
 from malipp_field.clock import WallClock
 from malipp_field.mission import parse_mission, read_mission
 from malipp_field.plan import Plan, write_plan
 from malipp_field.planner import solve
-from malipp_field.sim import Fleet
+from malipp_field.sim import Fleet, RoverConfig
 from malipp_field.sim.rover import Rover
 
+ROOT = Path(__file__).parents[2]
 TEXT = """
 format: malipp-mission/1
 name: yard
@@ -63,7 +66,8 @@ def rovers(mission_file: Path) -> Iterator[tuple[dict[str, Rover], list[str]]]:
     fleets: list[Fleet] = []
 
     async def live() -> None:
-        async with Fleet(read_mission(mission_file), WallClock()) as fleet:
+        ready = RoverConfig(ready_after_s=0.0)
+        async with Fleet(read_mission(mission_file), WallClock(), config=ready) as fleet:
             fleets.append(fleet)
             started.set()
             await asyncio.to_thread(over.wait)
@@ -118,6 +122,68 @@ def test_one_that_refuses_keeps_all_from_theirs(
         assert "mule: has what it had (a mission upload of" in said
         assert "MAV_MISSION_NO_SPACE" in said
         assert [len(rover.autopilot.store.items) for rover in fleet.values()] == [0, 0]
+
+
+@pytest.fixture
+def timed(tmp_path: Path) -> tuple[Path, Path]:
+    """The corridor, whose carrier opens its gates by time, and a plan of it with drops."""
+    mission_file, plan_file = tmp_path / "corridor.yaml", tmp_path / "plan.json"
+    text = (ROOT / "missions" / "corridor.yaml").read_text(encoding="utf-8")
+    mission_file.write_text(f"{text}\nvehicles: {{carrier: {{gate: time}}}}\n", encoding="utf-8")
+    plan_file.write_bytes((ROOT / "tests" / "sim" / "corridor-plan.json").read_bytes())
+    return mission_file, plan_file
+
+
+def utc(time_s: float) -> str:
+    return datetime.fromtimestamp(time_s, UTC).isoformat()
+
+
+def test_gates_by_time_go_to_vehicles_that_know_the_time(
+    timed: tuple[Path, Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    start = "--start", utc(WallClock().now_s() + 600.0)
+    with rovers(timed[0]) as (fleet, links):
+        builders = fleet["carrier"]._telemetry._builders
+        honest = builders[mavlink.MAVLINK_MSG_ID_SYSTEM_TIME]
+        builders[mavlink.MAVLINK_MSG_ID_SYSTEM_TIME] = lambda now_s: honest(now_s - 3600.0)
+        assert status("upload", *timed, *start, *links) == 6
+        said = capsys.readouterr().err
+        assert "scout: has what it had\n" in said
+        assert "carrier: has what it had (its clock is 3600 s behind this computer's" in said
+        assert [len(rover.autopilot.store.items) for rover in fleet.values()] == [0, 0]
+        builders[mavlink.MAVLINK_MSG_ID_SYSTEM_TIME] = honest
+        assert status("upload", *timed, *start, *links) == 0
+        gates = [item for item in fleet["carrier"].autopilot.store.items if item.param1 == 1.0 and item.y > 0]
+        assert gates
+
+
+def test_a_start_that_is_over_is_refused(
+    timed: tuple[Path, Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    late = "--start", utc(WallClock().now_s() - 100.0)
+    assert status("upload", *timed, *late, "--dry-run") == 2
+    said = capsys.readouterr().err
+    assert "the gates of carrier would open before the drops; give a time to come" in said
+    assert status("upload", *timed, *late, "--robot", "scout", "--dry-run") == 0, "it has no gates"
+    assert status("upload", *timed, "--dry-run") == 0
+    assert "carrier\n  warning no gate opens by time" in capsys.readouterr().err
+
+
+def test_an_armed_vehicle_that_was_held_is_told(
+    files: tuple[Path, Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    with rovers(files[0]) as (fleet, links):
+        assert status("upload", *files, *links) == 0
+        pilot = fleet["mule"].autopilot
+        capsys.readouterr()
+        assert pilot.arm()
+        assert pilot.set_mode(mavlink.ROVER_MODE_AUTO)
+        assert status("upload", *files, "--hold", *links) == 0
+        said = capsys.readouterr().out.splitlines()
+        assert said == [
+            "scout: has its new mission, read back and compared",
+            "mule: has its new mission, read back and compared; it is armed, in HOLD",
+        ]
 
 
 def test_a_dry_run_sends_nothing_and_needs_no_link(

@@ -251,6 +251,36 @@ def test_a_vehicle_that_drives_is_refused_or_held(hold: bool) -> None:
     Field().run(scene)
 
 
+@pytest.mark.parametrize(
+    ("ahead_s", "words"),
+    [(-3600.0, "its clock is 3600 s behind this computer's"), (None, "does not know the time of day")],
+)
+def test_gates_by_time_are_only_sent_where_all_clocks_agree(ahead_s: float | None, words: str) -> None:
+    """One clock that is wrong, and nobody is stopped or given anything."""
+
+    async def scene(field: Field) -> None:
+        driving = field.radios["scout"].rover.autopilot
+        assert driving.arm()
+        assert driving.set_mode(mavlink.ROVER_MODE_AUTO)
+        field.radios["carrier"].rover._telemetry._builders[mavlink.MAVLINK_MSG_ID_SYSTEM_TIME] = (
+            lambda now_s: mavlink.MAVLink_system_time_message(
+                0 if ahead_s is None else int((now_s + ahead_s) * 1e6), 0
+            )
+        )
+        await field.live(3.0)
+        sent = {robot: radio.uplinks for robot, radio in field.radios.items()}
+        transaction = field.transaction(hold=True)
+        for member in transaction.members:
+            member.keeps_time = True
+        assert not await field.carry_out(transaction)
+        assert words in transaction.members[1].words
+        assert {robot: radio.uplinks for robot, radio in field.radios.items()} == sent
+        assert driving.mode == mavlink.ROVER_MODE_AUTO
+        assert {member.words for member in transaction.members[::2]} == {"has what it had"}
+
+    Field().run(scene)
+
+
 @pytest.mark.parametrize("seq", [1, 4])
 def test_one_refusal_puts_all_back_on_what_they_had(seq: int) -> None:
     async def scene(field: Field) -> None:

@@ -288,8 +288,8 @@ def test_a_gate_that_a_vehicle_without_script_may_miss() -> None:
 
 
 def test_time_gates_want_to_know_the_start() -> None:
-    note = only(check(linked("carrier", **TIME_GATE), handoff_plan()), "gates-unknown")
-    assert (note.severity, note.robot) == ("note", "carrier")
+    found = only(check(linked("carrier", **TIME_GATE), handoff_plan()), "gates-unknown")
+    assert (found.severity, found.robot) == ("warning", "carrier")
     assert "gates-unknown" not in rules(check(linked("scout", **TIME_GATE), handoff_plan()))
 
 
