@@ -115,6 +115,7 @@ class Yard:
         self.heard: list[Any] = []
         self.watch: Callable[[Any], None] = lambda message: None
         self.on_send: Callable[[Any], None] = lambda message: None
+        self.on_hear: Callable[[Any], None] = lambda message: None
 
     async def open(
         self, where: VehicleLink, on_message: OnMessage, on_event: OnEvent, skip: frozenset[int]
@@ -153,6 +154,7 @@ class Yard:
                 self.down.put(framed(message), now_s)
         for message in self.down.arrived(now_s):
             if message.get_msgId() not in self._skip:
+                self.on_hear(message)
                 self._on_message(message)
 
     async def order(self, order: Order, limit_s: float = 600.0) -> Reply:
@@ -179,7 +181,7 @@ class Yard:
         """Run a scene with the agent at work."""
 
         async def whole() -> ResultT:
-            agent = asyncio.ensure_future(self.agent.run())
+            agent = self.work = asyncio.ensure_future(self.agent.run())
             try:
                 await self.live(1.5)
                 return await scene(self)

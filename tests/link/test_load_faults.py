@@ -11,64 +11,27 @@ from typing import Any
 
 import pytest
 from agent_cases import STOP
-from fault_cases import ALL_DONE, GUARDED, NEW, GuardedYard
+from fault_cases import (
+    GUARDED,
+    HELD,
+    INITIAL,
+    NEW,
+    OCCASIONS,
+    UNDER_WAY,
+    GuardedYard,
+    begin,
+    check,
+    make_good,
+    settle,
+    yard_for,
+)
 from link_cases import framed
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from malipp_field.bus.messages import Load, Start
+from malipp_field.bus.messages import Load
 from malipp_field.sim.mission_store import Sender
 
-AUTO = mavlink.ROVER_MODE_AUTO
 STRANGER = (245, 190)
-INITIAL, HELD, UNDER_WAY = "initial", "held", "under way"
-OCCASIONS = [INITIAL, HELD, UNDER_WAY]
-
-
-def yard_for(occasion: str, seed: int = 0, loss: float = 0.0) -> GuardedYard:
-    return GuardedYard(seed, loss, **(GUARDED if occasion == UNDER_WAY else {"FS_GCS_ENABLE": 1.0}))
-
-
-async def begin(yard: GuardedYard, occasion: str) -> asyncio.Future[Any]:
-    """Bring the rover to the occasion on which it is given its new mission, and begin to give it."""
-    if occasion != INITIAL:
-        while not (await yard.order(Load(mission=yard.old()))).ok:
-            pass
-        while not (await yard.order(Start())).ok:
-            pass
-        await yard.live(9.0)
-    yard.uplinks = 0
-    return yard.begin(Load(mission=yard.new(), resume=True))
-
-
-async def settle(yard: GuardedYard, load: asyncio.Future[Any]) -> None:
-    """Wait for the order's end, then for the rover to have given up whatever it waited for."""
-    await yard.until(load.done, limit_s=400.0)
-    await yard.live(12.0)
-
-
-def check(yard: GuardedYard) -> None:
-    """A rover that drives has a whole mission on board, and what its agent says of it is so."""
-    yard.reported()
-    if yard.driving():
-        assert yard.aboard() is not None
-    if yard.telemetry.link_ok:
-        autopilot = yard.rover.autopilot
-        assert (yard.telemetry.mode == "AUTO") is (autopilot.mode == AUTO)
-        assert yard.telemetry.armed is autopilot.armed
-
-
-async def make_good(yard: GuardedYard) -> None:
-    """The fault is over: the new mission is loaded and driven to its end, each action once."""
-    version = 3
-    while not (await yard.order(Load(mission=yard.new(version), resume=True))).ok:
-        version += 1
-        assert version < 9
-    while not yard.telemetry.finished:
-        if yard.telemetry.mode != "AUTO":
-            await yard.order(Start())
-        await yard.live(5.0)
-        assert yard.clock.now_s() < 1e9 + 2000.0
-    assert [uid for _, uid, ok in yard.confirmed if ok] == ALL_DONE
 
 
 def messages_needed(occasion: str) -> int:
