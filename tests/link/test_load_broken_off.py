@@ -90,7 +90,7 @@ def test_by_an_order_to_hold(occasion: str) -> None:
 
 @pytest.mark.parametrize("occasion", OCCASIONS)
 def test_by_whoever_gave_it(occasion: str) -> None:
-    """Nobody orders a hold: a vehicle under way is held by the end of its leg, unless its mission is known."""
+    """Nobody orders a hold: a vehicle under way holds by the end of its leg, or its mission is known."""
 
     async def scene(yard: BrokenOff) -> None:
         load = await yard.begin_load()
