@@ -110,7 +110,8 @@ class VehicleSettings(StrictModel):
         How the vehicle waits for a teammate's drop: ``custody``, until the coordinator has seen it
         confirmed; ``time``, until then or until the pick is due by the plan, by the vehicle's own clock.
     gate_margin_s
-        What a time gate adds to the time of the pick by the plan.
+        What a time gate adds to the time of the pick by the plan. The gates after it, and those of who waits
+        for this vehicle, allow for it.
     if_missing
         What the vehicle does where a container is not there to be picked.
     max_items

@@ -18,6 +18,7 @@ from malipp_field.vehicle.check_times import gate_findings, hold_findings, servi
 from malipp_field.vehicle.check_way import way_findings
 from malipp_field.vehicle.compile import Custody, compile_plan
 from malipp_field.vehicle.finding import Finding, Spot
+from malipp_field.vehicle.gate_times import gate_times
 from malipp_field.vehicle.items import MAV_CMD_NAV_LOITER_UNLIM, MissionItem
 from malipp_field.vehicle.layout import Layout, lay_out
 from malipp_field.vehicle.steps import Action, VehicleMission
@@ -56,12 +57,15 @@ def check(
         When the plan cannot be compiled.
     """
     compiled = compile_plan(mission, plan, custody, start_s)
+    times = {} if start_s is None else gate_times(mission, plan)
     found = list(team_findings(mission))
     for group in drives_alike(mission):
         drivable = passages(mission, group[0])
         for route in plan.robots:
             if route.id in group:
-                found += _vehicle(mission, route, compiled.missions[route.id], drivable, start_s, state)
+                vehicle = compiled.missions[route.id]
+                found += _vehicle(mission, route, vehicle, drivable, state)
+                found += gate_findings(mission, vehicle, lay_out(vehicle), start_s, times)
     order = {route.id: index for index, route in enumerate(plan.robots)}
     return sorted(found, key=lambda finding: -1 if finding.robot is None else order.get(finding.robot, -1))
 
@@ -108,7 +112,6 @@ def _vehicle(
     route: RobotPlan,
     vehicle: VehicleMission,
     drivable: Sequence[Passage],
-    start_s: float | None,
     state: TeamState | None,
 ) -> list[Finding]:
     robot, settings = mission.robot(route.id), mission.vehicle(route.id)
@@ -122,7 +125,6 @@ def _vehicle(
         *energy_findings(route, roads, begin_j, _reserve(mission, begun=state is not None)),
         *length_findings(route, roads),
         *service_findings(mission, vehicle),
-        *gate_findings(mission, route, vehicle, layout, start_s),
         *hold_findings(vehicle, gates_open_by_time=settings.gate == "time"),
     ]
 

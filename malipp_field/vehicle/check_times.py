@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from datetime import UTC, datetime
 
 from malipp_field.mission import Mission
 from malipp_field.mission.vehicles import ByGripper, ByRelay, ByScript, ByServo
-from malipp_field.plan import RobotPlan
 from malipp_field.vehicle.finding import Finding, Spot
+from malipp_field.vehicle.gate_times import GateTime
 from malipp_field.vehicle.layout import Layout, held_for_operator, means_of
 from malipp_field.vehicle.steps import Action, Step, VehicleMission
+from malipp_field.vehicle.stops import Place
 
 
 def service_findings(mission: Mission, vehicle: VehicleMission) -> Iterator[Finding]:
@@ -36,7 +37,11 @@ def service_findings(mission: Mission, vehicle: VehicleMission) -> Iterator[Find
 
 
 def gate_findings(
-    mission: Mission, route: RobotPlan, vehicle: VehicleMission, layout: Layout, start_s: float | None
+    mission: Mission,
+    vehicle: VehicleMission,
+    layout: Layout,
+    start_s: float | None,
+    times: Mapping[Place, GateTime],
 ) -> Iterator[Finding]:
     """Yield time gates that are in the past, or late for a vehicle alone.
 
@@ -46,6 +51,8 @@ def gate_findings(
     ----------
     start_s
         When mission time 0 is, in seconds since the Unix epoch; `None` where it is not known yet.
+    times
+        Those of `gate_times`, of the same plan.
     """
     gates = [(i, step) for i, step in enumerate(vehicle.steps) if step.action is Action.WAIT]
     settings = mission.vehicle(vehicle.robot)
@@ -59,16 +66,16 @@ def gate_findings(
         return
     by_script = isinstance(vehicle.payload.pick, ByScript)
     for index, step in gates:
-        arrive_s = start_s + (route.route[step.stop].arrive_s or 0.0)
         spot = Spot(vehicle.robot, layout.first_item(index), f"gate at {step.node}")
         if step.not_before_s is not None:
-            yield from _gate(spot, step.not_before_s, start_s, arrive_s, by_script=by_script)
+            comes_s = start_s + times[vehicle.robot, step.stop].comes_s
+            yield from _gate(spot, step.not_before_s, start_s, comes_s, by_script=by_script)
 
 
 def _gate(
-    spot: Spot, opens_s: float, start_s: float, arrive_s: float, *, by_script: bool
+    spot: Spot, opens_s: float, start_s: float, comes_s: float, *, by_script: bool
 ) -> Iterator[Finding]:
-    ahead_s = opens_s - arrive_s
+    ahead_s = opens_s - comes_s
     if opens_s < start_s:
         yield spot.error(
             "gate-past",

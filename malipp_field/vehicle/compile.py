@@ -14,7 +14,6 @@ service window follows the sender's departure (`eq:deaddrop_sync`).
 
 from __future__ import annotations
 
-import graphlib
 from collections import deque
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -22,19 +21,10 @@ from itertools import pairwise
 
 from malipp_field.errors import PlanError
 from malipp_field.mission import ABSTRACT_ORIGIN, Mission, node_positions, to_globe
-from malipp_field.mission.vehicles import ByScript
 from malipp_field.plan import Plan, Stop
+from malipp_field.vehicle.gate_times import gate_times
 from malipp_field.vehicle.steps import MAX_TAG, Action, GeoPoint, Sample, Step, VehicleMission
-
-DELAY_GATE_H = 23
-"""How long a gate by NAV_DELAY may be waited at: one a day ahead would be taken for one that is due."""
-SCRIPT_GATE_H = 11
-"""How long one kept by the payload script may be: what is more than half a day ahead it takes for past."""
-
-Place = tuple[str, int]
-"""A stop: robot and index in its route."""
-Handoff = tuple[str, str, str]
-"""Node, sender and receiver."""
+from malipp_field.vehicle.stops import Handoff, Place, all_stops, in_order
 
 
 @dataclass(frozen=True)
@@ -118,6 +108,11 @@ def compile_plan(
     custody = custody or Custody.none()
     samples = _new_samples(mission, plan, custody)
     handled = _follow_containers(mission, plan, custody, samples)
+    opens_s = (
+        {}
+        if start_s is None
+        else {place: start_s + gate.opens_s for place, gate in gate_times(mission, plan).items()}
+    )
     points = {node: _point(mission, place) for node, place in node_positions(mission).items()}
     missions = {
         robot.id: VehicleMission(
@@ -133,7 +128,7 @@ def compile_plan(
                     stop,
                     handled[robot.id, index],
                     points,
-                    _gate_s(mission, robot.id, index, stop, start_s),
+                    opens_s.get((robot.id, index)),
                 )
             ),
             payload=mission.vehicle(robot.id).payload,
@@ -169,7 +164,7 @@ def _check_fits(mission: Mission, plan: Plan) -> None:
 def _new_samples(mission: Mission, plan: Plan, custody: Custody) -> dict[Place, list[Sample]]:
     """Tag every sample to be taken, in order of time and then of the robots in the mission file."""
     order = {robot.id: position for position, robot in enumerate(mission.team.robots)}
-    stops = sorted(_stops(plan), key=lambda found: (found[1].depart_s, order[found[0][0]], found[0][1]))
+    stops = sorted(all_stops(plan), key=lambda found: (found[1].depart_s, order[found[0][0]], found[0][1]))
     promised = {key: deque(tags) for key, tags in custody.promised.items()}
     unused = iter(range(custody.next_tag, MAX_TAG + 1))
 
@@ -189,37 +184,16 @@ def _new_samples(mission: Mission, plan: Plan, custody: Custody) -> dict[Place, 
     }
 
 
-def _gate_s(mission: Mission, robot: str, index: int, stop: Stop, start_s: float | None) -> float | None:
-    """Return when a gate at a stop opens by itself: the planned service window there, and a margin.
-
-    The window of a plan begins no earlier than the sender's departure and the clearance
-    (`eq:deaddrop_sync`).
-    """
-    vehicle = mission.vehicle(robot)
-    if start_s is None or vehicle.gate != "time" or not stop.pick:
-        return None
-    opens_s = stop.depart_s - mission.team.service_time_s + vehicle.gate_margin_s
-    scripted = isinstance(vehicle.payload.pick, ByScript)
-    most_h = SCRIPT_GATE_H if scripted else DELAY_GATE_H
-    ahead_h = (opens_s - (stop.arrive_s or 0.0)) / 3600.0
-    if ahead_h > most_h:
-        raise PlanError(
-            f"{robot}, stop {index} at '{stop.node}': its time gate opens {ahead_h:.1f} h after it comes; "
-            f"the time of day tells at most {most_h} h: say gate: custody, or a smaller gate_margin_s"
-        )
-    return start_s + opens_s
-
-
 def _follow_containers(
     mission: Mission, plan: Plan, custody: Custody, samples: Mapping[Place, list[Sample]]
 ) -> dict[Place, _Handled]:
     """Return which containers are handled where."""
     lenient = {robot.id for robot in plan.robots if mission.vehicle(robot.id).if_missing == "go_on"}
     containers = _Containers(plan, custody, lenient)
-    stops = dict(_stops(plan))
+    stops = dict(all_stops(plan))
     return {
         place: containers.visit(place, stops[place], [sample.tag for sample in samples[place]])
-        for place in _in_order(plan)
+        for place in in_order(plan)
     }
 
 
@@ -268,31 +242,11 @@ class _Containers:
 def _planned_drops(plan: Plan) -> dict[Handoff, int]:
     """Return how many containers the plan leaves for each handoff."""
     counts: dict[Handoff, int] = {}
-    for (robot, _), stop in _stops(plan):
+    for (robot, _), stop in all_stops(plan):
         for receiver, count in stop.drop.items():
             key = (stop.node, robot, receiver)
             counts[key] = counts.get(key, 0) + count
     return counts
-
-
-def _in_order(plan: Plan) -> list[Place]:
-    """Return all stops so that every drop precedes its pick; times may tie and cannot tell."""
-    follows: dict[Place, list[Place]] = {place: [] for place, _ in _stops(plan)}
-    for robot in plan.robots:
-        for before, after in pairwise(range(len(robot.route))):
-            follows[robot.id, after].append((robot.id, before))
-    senders: dict[Handoff, list[Place]] = {}
-    for place, stop in _stops(plan):
-        for receiver in stop.drop:
-            senders.setdefault((stop.node, place[0], receiver), []).append(place)
-    for place, stop in _stops(plan):
-        for sender in stop.pick:
-            follows[place] += senders.get((stop.node, sender, place[0]), [])
-    try:
-        return list(graphlib.TopologicalSorter(follows).static_order())
-    except graphlib.CycleError as fault:
-        circle = " -> ".join(f"{robot} stop {index}" for robot, index in reversed(fault.args[1]))
-        raise PlanError(f"the handoffs wait for each other in a circle: {circle}") from None
 
 
 def _take(tags: deque[int], count: int, place: Place, stop: Stop, where: str) -> list[int]:
@@ -303,12 +257,6 @@ def _take(tags: deque[int], count: int, place: Place, stop: Stop, where: str) ->
             f"there are {len(tags)}"
         )
     return [tags.popleft() for _ in range(count)]
-
-
-def _stops(plan: Plan) -> Iterator[tuple[Place, Stop]]:
-    for robot in plan.robots:
-        for index, stop in enumerate(robot.route):
-            yield (robot.id, index), stop
 
 
 def _steps(

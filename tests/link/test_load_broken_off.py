@@ -28,7 +28,7 @@ class BrokenOff(GuardedYard):
     """A yard in which something happens as message ``at`` of the load crosses, whichever way it goes."""
 
     def __init__(self, occasion: str, at: int | None = None) -> None:
-        super().__init__(**(GUARDED if occasion == UNDER_WAY else {"FS_GCS_ENABLE": 1.0}))
+        super().__init__(0, 0.0, **(GUARDED if occasion == UNDER_WAY else {"FS_GCS_ENABLE": 1.0}))
         self._occasion, self._at = occasion, at
         self.crossed = 0
         self._loading = False

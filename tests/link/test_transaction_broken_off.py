@@ -1,8 +1,8 @@
-"""A transaction over a team that is broken off at any message, once or twice, and what is then said of it.
+"""A transaction over a team broken off at any message, once or twice, and what is then said of it.
 
 The messages between one vehicle and the ground are counted in an undisturbed transaction first, those that go
-out and those that come in; then there is one transaction for each of them, broken off as it crosses: for every
-second one where the vehicle drives.
+out and those that come in; then there is one transaction for each of them, or for every second where the
+vehicle drives, broken off as it crosses.
 """
 
 from __future__ import annotations

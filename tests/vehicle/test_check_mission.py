@@ -307,7 +307,7 @@ def test_a_gate_too_far_ahead_is_refused(payload: Any, hours: int) -> None:
 
 def test_a_gate_in_the_past() -> None:
     """Service windows of before the mission began are no plan's; a plan file may hold one."""
-    past = handoff_at(arrive_s=0.0, depart_s=-100.0)
+    past = handoff_at(arrive_s=-200.0, depart_s=-100.0)
     for payload, words in (("script", "does not wait at all"), (BY_OUTPUTS, "waits until the next day")):
         mission = linked("carrier", **TIME_GATE, payload=payload)
         fault = only(check(mission, past, START_S), "gate-past")
