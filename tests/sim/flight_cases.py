@@ -56,6 +56,13 @@ vehicles:
 """
 """No script on board of either: what is done is confirmed by progress, or by a person."""
 
+KEPT_BY_SCRIPT = """
+vehicles:
+  carrier: {gate: time}
+"""
+KEPT_BY_DELAY = f"{HARDWARE}    gate: time\n"
+"""The carrier waits for drops by the clock, alone: nobody opens its gates."""
+
 Done = set[tuple[Action, int]]
 """Payload actions, with the tag of the container."""
 
@@ -144,6 +151,8 @@ class Flight:
     wanted: dict[str, Done]
     """By robot: the payload actions of its mission."""
     confirmed: dict[str, Done]
+    early_s: dict[str, float]
+    """By gate that opens by time: how much earlier than that it was passed."""
 
 
 def corridor(extra: str = "") -> tuple[Mission, Plan]:
@@ -156,14 +165,18 @@ def corridor(extra: str = "") -> tuple[Mission, Plan]:
 
 
 def fly(open_client: OpenClient, kind: ExportFormat, folder: Path, extra: str = "") -> Flight:
-    """Export the corridor's mission files, and have a client upload, start and see through each."""
+    """Export the corridor's mission files, and have a client upload, start and see through each.
+
+    Gates by time are set for a start by which the vehicles are surely under way.
+    """
     return asyncio.run(asyncio.wait_for(_flight(open_client, kind, folder, extra), LIMIT_S))
 
 
 async def _flight(open_client: OpenClient, kind: ExportFormat, folder: Path, extra: str) -> Flight:
     mission, plan = corridor(extra)
-    missions = compile_plan(mission, plan).missions
-    export(mission, plan, kind, folder)
+    start_s = START_S + LIMIT_S
+    missions = compile_plan(mission, plan, start_s=start_s).missions
+    export(mission, plan, kind, folder, start_s)
     clock = SimClock(START_S, SPEED)
     async with AsyncExitStack() as stack:
         fleet = await stack.enter_async_context(Fleet(mission, clock, config=RoverConfig(ready_after_s=0.0)))
@@ -179,7 +192,7 @@ async def _flight(open_client: OpenClient, kind: ExportFormat, folder: Path, ext
                 assert differences(lay_out(missions[robot]).items, on_board) == []
             for client in clients.values():
                 await client.start()
-        hands = _Hands(fleet, missions, clients)
+        hands = _Hands(fleet, missions, clients, clock)
         while not hands.all_done():
             await hands.lend()
             await clock.sleep(LOOK_S)
@@ -187,6 +200,7 @@ async def _flight(open_client: OpenClient, kind: ExportFormat, folder: Path, ext
             fleet,
             wanted={robot: payload_actions(vehicle) for robot, vehicle in missions.items()},
             confirmed={robot: client.confirmed() for robot, client in clients.items()},
+            early_s=hands.early_s,
         )
 
 
@@ -197,9 +211,13 @@ def payload_actions(vehicle: VehicleMission) -> Done:
 class _Hands:
     """What people do on the way: they open gates, and do and judge what is theirs to do."""
 
-    def __init__(self, fleet: Fleet, missions: dict[str, VehicleMission], clients: dict[str, Client]) -> None:
-        self._fleet, self._missions, self._clients = fleet, missions, clients
+    def __init__(
+        self, fleet: Fleet, missions: dict[str, VehicleMission], clients: dict[str, Client], clock: Clock
+    ) -> None:
+        self._fleet, self._missions, self._clients, self._clock = fleet, missions, clients, clock
         self._passed: set[str] = set()
+        self._shut: dict[str, Step] = {}
+        self.early_s: dict[str, float] = {}
 
     def all_done(self) -> bool:
         """Return whether every vehicle is at the end of its mission, and all of it is confirmed."""
@@ -217,6 +235,7 @@ class _Hands:
         """Do once what can be done now."""
         for robot, vehicle in self._missions.items():
             layout, item = lay_out(vehicle), self._fleet.rovers[robot].autopilot.run.seq
+            self._watch(robot, vehicle.steps[layout.steps[item]])
             index = layout.steps[item]
             step = vehicle.steps[index]
             if index < 0 or item < layout.last_item(index) or step.uid in self._passed:
@@ -225,10 +244,22 @@ class _Hands:
             if await self._pass(robot, step, following):
                 self._passed.add(step.uid)
 
+    def _watch(self, robot: str, step: Step) -> None:
+        """Note when a vehicle leaves a gate that opens by time."""
+        gate = self._shut.get(robot)
+        if gate is not None and gate != step:
+            assert gate.not_before_s is not None
+            self.early_s[gate.uid] = gate.not_before_s - self._clock.now_s()
+            del self._shut[robot]
+        if step.not_before_s is not None:
+            self._shut[robot] = step
+
     async def _pass(self, robot: str, step: Step, item: int | None) -> bool:
         client, pilot = self._clients[robot], self._fleet.rovers[robot].autopilot
         if step.action is Action.WAIT:
             assert item is not None, "a gate is followed by what it is for"
+            if step.not_before_s is not None:
+                return False  # the vehicle opens it alone
             confirmed = set().union(*(each.confirmed() for each in self._clients.values()))
             dropped = {tag for action, tag in confirmed if action is Action.DROP}
             return dropped.issuperset(step.tags) and await client.release(step, item)
@@ -249,8 +280,10 @@ async def beside(work: Coroutine[Any, Any, None]) -> AsyncIterator[None]:
         await asyncio.gather(task, return_exceptions=True)
 
 
-def assert_flown(flight: Flight) -> None:
+def assert_flown(flight: Flight, gates_by_time: int = 0) -> None:
     """Every action of every mission is done in the world, and was confirmed; every sample is home."""
+    assert len(flight.early_s) == gates_by_time
+    assert all(early_s <= 0.0 for early_s in flight.early_s.values())
     for robot, wanted in flight.wanted.items():
         assert flight.confirmed[robot] == wanted
         assert not flight.fleet.rovers[robot].autopilot.stranded

@@ -7,7 +7,16 @@ import os
 from pathlib import Path
 
 import pytest
-from flight_cases import HARDWARE, START_S, Assignment, assert_flown, corridor, fly
+from flight_cases import (
+    HARDWARE,
+    KEPT_BY_DELAY,
+    KEPT_BY_SCRIPT,
+    START_S,
+    Assignment,
+    assert_flown,
+    corridor,
+    fly,
+)
 from mavproxy_client import mavproxy
 
 from malipp_field.clock import SimClock
@@ -17,6 +26,11 @@ from malipp_field.vehicle.compile import compile_plan
 @pytest.mark.parametrize("hardware", ["", HARDWARE], ids=["by script", "by hardware and hand"])
 def test_mavproxy_uploads_the_exported_missions_and_sees_them_through(tmp_path: Path, hardware: str) -> None:
     assert_flown(fly(mavproxy, "wpl", tmp_path, hardware))
+
+
+@pytest.mark.parametrize("gates", [KEPT_BY_SCRIPT, KEPT_BY_DELAY], ids=["by script", "by NAV_DELAY"])
+def test_vehicles_that_keep_gates_by_time_pass_them_alone(tmp_path: Path, gates: str) -> None:
+    assert_flown(fly(mavproxy, "wpl", tmp_path, gates), gates_by_time=3)
 
 
 def test_nothing_of_mavproxy_is_left_after_a_failure(tmp_path: Path) -> None:

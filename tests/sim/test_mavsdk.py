@@ -14,7 +14,16 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from flight_cases import HARDWARE, Assignment, Operated, assert_flown, beside, fly
+from flight_cases import (
+    HARDWARE,
+    KEPT_BY_DELAY,
+    KEPT_BY_SCRIPT,
+    Assignment,
+    Operated,
+    assert_flown,
+    beside,
+    fly,
+)
 from mavsdk.asyncio import ComponentType, Configuration, Mavsdk, System
 from mavsdk.asyncio.plugins.action import ActionAsync
 from mavsdk.asyncio.plugins.mission_raw import MissionRawAsync, MissionRawError
@@ -216,3 +225,7 @@ def as_item(raw: Any) -> MissionItem:
 @pytest.mark.parametrize("hardware", ["", HARDWARE], ids=["by script", "by hardware and hand"])
 def test_mavsdk_uploads_the_exported_plans_and_sees_them_through(tmp_path: Path, hardware: str) -> None:
     assert_flown(fly(station, "plan", tmp_path, hardware))
+
+
+def test_vehicles_that_keep_gates_by_time_pass_them_alone(tmp_path: Path) -> None:
+    assert_flown(fly(station, "plan", tmp_path, KEPT_BY_DELAY), gates_by_time=3)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from flight_cases import HARDWARE, Assignment, Done, assert_flown, beside, fly
+from flight_cases import HARDWARE, KEPT_BY_SCRIPT, Assignment, Done, assert_flown, beside, fly
 
 from malipp_field.bus.messages import (
     Command,
@@ -79,3 +79,7 @@ async def station(told: Assignment) -> AsyncIterator[Station]:
 @pytest.mark.parametrize("hardware", ["", HARDWARE], ids=["by script", "by hardware and hand"])
 def test_our_link_uploads_the_compiled_missions_and_sees_them_through(tmp_path: Path, hardware: str) -> None:
     assert_flown(fly(station, "plan", tmp_path, hardware))
+
+
+def test_vehicles_that_keep_gates_by_time_pass_them_alone(tmp_path: Path) -> None:
+    assert_flown(fly(station, "plan", tmp_path, KEPT_BY_SCRIPT), gates_by_time=3)

@@ -72,7 +72,9 @@ def test_what_the_plan_waits_anyway_makes_up_for_it() -> None:
     scout2 = CHAIN.robot("scout2").route
     patient = scout2[2].model_copy(update={"depart_s": 200.0})
     robots = tuple(
-        robot.model_copy(update={"route": (*scout2[:2], patient, scout2[3])}) if robot.id == "scout2" else robot
+        robot.model_copy(update={"route": (*scout2[:2], patient, scout2[3])})
+        if robot.id == "scout2"
+        else robot
         for robot in CHAIN.robots
     )
     gates = gate_times(timed(scout2={"pick": RELAY}), CHAIN.model_copy(update={"robots": robots}))
