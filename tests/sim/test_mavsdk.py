@@ -17,7 +17,6 @@ import pytest
 from flight_cases import (
     HARDWARE,
     KEPT_BY_DELAY,
-    KEPT_BY_SCRIPT,
     Assignment,
     Operated,
     assert_flown,
