@@ -11,7 +11,7 @@ import difflib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_origin
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic_core import ErrorDetails
@@ -225,6 +225,13 @@ def _in_words(details: ErrorDetails, model: type[BaseModel], location: Location)
     if kind == "too_short":
         least, found = details["ctx"]["min_length"], details["ctx"]["actual_length"]
         return f"at least {least} item{'s' * (least > 1)} needed, found {found}"
+    if kind == "union_tag_invalid":
+        context = details["ctx"]
+        return (
+            f"expected {context['discriminator']} to be {context['expected_tags']}; found '{context['tag']}'"
+        )
+    if kind == "union_tag_not_found":
+        return f"{details['ctx']['discriminator']} is missing"
     message = details["msg"].removeprefix("Value error, ").removeprefix("Input ")
     return message if kind == "value_error" else f"{message}, found {_shown(value)}"
 
@@ -245,26 +252,27 @@ def _shown(value: Any) -> str:
 def _known_keys(model: type[BaseModel], location: Location) -> list[str]:
     """Return the keys that ``model`` allows at ``location``, as they are written in a file."""
     current: Any = model
+    named = False  # the next part is a name that the file gives, such as a robot's under vehicles
     for part in location:
-        if isinstance(part, int):
+        if isinstance(part, int) or named:
+            named = False
             continue
         if not (isinstance(current, type) and issubclass(current, BaseModel)):
             return []
         fields = {field.alias or name: field for name, field in current.model_fields.items()}
         if part not in fields:
             return []
-        current = _model_inside(fields[str(part)].annotation)
+        annotation = fields[str(part)].annotation
+        current, named = _model_inside(annotation), get_origin(annotation) is dict
     if not (isinstance(current, type) and issubclass(current, BaseModel)):
         return []
     return [field.alias or name for name, field in current.model_fields.items()]
 
 
 def _model_inside(annotation: Any) -> Any:
-    """Return the pydantic model within ``tuple[Model, ...]``, ``Model | None`` and the like."""
+    """Return the only pydantic model within ``tuple[Model, ...]``, ``Model | None`` and the like."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return annotation
-    for argument in getattr(annotation, "__args__", ()):
-        found = _model_inside(argument)
-        if found is not None:
-            return found
-    return None
+    inside = [_model_inside(argument) for argument in getattr(annotation, "__args__", ())]
+    models = [found for found in inside if found is not None]
+    return models[0] if len(models) == 1 else None

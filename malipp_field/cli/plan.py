@@ -42,10 +42,10 @@ def plan(
         Method | None,
         typer.Option(
             help="How to plan; the mission file's where not given. exact proves its plan, no-handoffs the "
-            "same without drops; fast finds good plans in seconds, for teams of any size, and bounds them; "
-            "auto is exact for small teams, else fast. seq plans robot by robot, lns is the paper's search "
-            "over pairs of robots (both prove nothing), miqp solves the paper's model to the letter, arcs an "
-            "arc model by outer approximation."
+            "same without drops; fast finds good plans in seconds, for teams of any size, and then a bound, "
+            "or the proof where a team is small; auto does the same and says which of the two it took. seq "
+            "plans robot by robot, lns is the paper's search over pairs of robots (both prove nothing), miqp "
+            "solves the paper's model to the letter, arcs an arc model by outer approximation."
         ),
     ] = None,
     handoffs: Annotated[

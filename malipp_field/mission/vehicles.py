@@ -8,13 +8,15 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal, TypeAlias
 
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from malipp_field.documents import StrictModel
 from malipp_field.mission.link_url import parse_link_url
 
 ARDUPILOT_MAX_ITEMS = 655
 """Mission items, home included, that an ArduPilot Rover stores (measured on the 4.7 development line)."""
+
+_ACTIONS = ("collect", "drop", "pick", "unload")
 
 SystemId: TypeAlias = Annotated[int, Field(ge=1, le=255)]
 Seconds: TypeAlias = Annotated[float, Field(gt=0, le=3600)]
@@ -68,8 +70,16 @@ class ByGripper(StrictModel):
     confirm: Confirmed = "progress"
 
 
+def _no_bare_word(data: Any) -> Any:
+    if isinstance(data, str):
+        raise ValueError(f"expected keys, such as {{by: manual}}, found '{data}'")
+    return data
+
+
 Actuator: TypeAlias = ByServo | ByRelay | ByGripper
-Means: TypeAlias = Annotated[ByScript | ByHand | Actuator, Field(discriminator="by")]
+Means: TypeAlias = Annotated[
+    ByScript | ByHand | Actuator, Field(discriminator="by"), BeforeValidator(_no_bare_word)
+]
 
 
 class PayloadProfile(StrictModel):
@@ -87,7 +97,11 @@ class PayloadProfile(StrictModel):
     @classmethod
     def _one_word_for_all(cls, data: Any) -> Any:
         if data in ("script", "manual"):
-            return {action: {"by": data} for action in ("collect", "drop", "pick", "unload")}
+            return {action: {"by": data} for action in _ACTIONS}
+        if isinstance(data, str):
+            raise ValueError(
+                f"expected script or manual for all actions, or keys for {', '.join(_ACTIONS)}; found '{data}'"
+            )
         return data
 
 

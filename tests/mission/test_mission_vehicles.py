@@ -67,6 +67,11 @@ def test_one_word_stands_for_all_actions() -> None:
     assert {payload.collect, payload.drop, payload.pick, payload.unload} == {ByHand(by="manual")}
 
 
+def test_a_word_that_does_not_do_for_all_actions_is_told_with_those_that_do() -> None:
+    with pytest.raises(InputError, match="expected script or manual for all actions, or keys for collect"):
+        parse_mission(MISSION + "vehicles: {scout: {payload: servo}}")
+
+
 @pytest.mark.parametrize(
     ("old", "new", "line", "key", "words"),
     [
@@ -79,7 +84,12 @@ def test_one_word_stands_for_all_actions() -> None:
         ("pwm_us: 1900, ", "", 21, COLLECT, "is missing"),
         ("channel: 9", "chanel: 9", 21, COLLECT, "unknown key"),
         ("move: release", "move: 2", 22, "vehicles.carrier.payload.drop", "'grab' or 'release'"),
-        ("by: manual", "by: hand", 23, "vehicles.carrier.payload.unload", "'manual'"),
+        ("by: manual", "by: hand", 23, "vehicles.carrier.payload.unload",
+         "expected 'by' to be 'script', 'manual', 'servo', 'relay', 'gripper'; found 'hand'"),
+        ("{by: manual}", "servo", 23, "vehicles.carrier.payload.unload",
+         "expected keys, such as {by: manual}, found 'servo'"),
+        ("{by: manual}", "{move: grab}", 23, "vehicles.carrier.payload.unload", "'by' is missing"),
+        ("      unload: ", "      unlaod: ", 23, "vehicles.carrier.payload.unlaod", "did you mean 'unload'?"),
         ("gate: time", "gate: never", 24, "vehicles.carrier.gate", "'custody' or 'time'"),
         ("if_missing: go_on", "if_missing: ignore", 25, "vehicles.carrier.if_missing", "'hold' or 'go_on'"),
         ("x_m: 50.0, y_m: -5.0", "x_m: 10.0, y_m: -5.0", 7, "site.nodes[1]", "'a' lies outside the fence"),
