@@ -8,7 +8,7 @@ from __future__ import annotations
 import contextlib
 import datetime
 import difflib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar, get_origin
@@ -225,15 +225,18 @@ def _in_words(details: ErrorDetails, model: type[BaseModel], location: Location)
     if kind == "too_short":
         least, found = details["ctx"]["min_length"], details["ctx"]["actual_length"]
         return f"at least {least} item{'s' * (least > 1)} needed, found {found}"
-    if kind == "union_tag_invalid":
-        context = details["ctx"]
-        return (
-            f"expected {context['discriminator']} to be {context['expected_tags']}; found '{context['tag']}'"
-        )
-    if kind == "union_tag_not_found":
-        return f"{details['ctx']['discriminator']} is missing"
+    if kind.startswith("union_tag"):
+        return _of_which_kind(details["ctx"])
     message = details["msg"].removeprefix("Value error, ").removeprefix("Input ")
     return message if kind == "value_error" else f"{message}, found {_shown(value)}"
+
+
+def _of_which_kind(context: Mapping[str, Any]) -> str:
+    """Return what is wrong with the key that says which kind of mapping it is."""
+    key = context["discriminator"]
+    if "tag" not in context:
+        return f"{key} is missing"
+    return f"expected {key} to be {context['expected_tags']}; found '{context['tag']}'"
 
 
 def _shown(value: Any) -> str:

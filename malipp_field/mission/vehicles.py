@@ -100,7 +100,8 @@ class PayloadProfile(StrictModel):
             return {action: {"by": data} for action in _ACTIONS}
         if isinstance(data, str):
             raise ValueError(
-                f"expected script or manual for all actions, or keys for {', '.join(_ACTIONS)}; found '{data}'"
+                f"expected script or manual for all actions, or keys for {', '.join(_ACTIONS)}; "
+                f"found '{data}'"
             )
         return data
 

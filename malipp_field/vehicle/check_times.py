@@ -105,7 +105,7 @@ def hold_findings(vehicle: VehicleMission, *, gates_open_by_time: bool) -> Itera
     if custody and not gates_open_by_time:
         yield Spot(vehicle.robot, None, _nodes(custody)).note(
             "custody-gates",
-            f"only the coordinator opens {_count(len(custody), 'gate')}, when it has seen the drop",
+            f"only the ground opens {_count(len(custody), 'gate')}, when the drop has been confirmed",
             "keep the link up there, or use gate: time",
         )
 
