@@ -9,8 +9,6 @@ from pathlib import Path
 from typing import Any
 
 from malipp_field.bench import Row, Specification, Task
-from malipp_field.bench.campaign import Campaign, Piece
-from malipp_field.bench.farm import Farm
 from malipp_field.bench.labour import Terms, task_of
 from malipp_field.bench.studies import SEQ, Arm, Study
 from malipp_field.bench.tasks import unfinished
@@ -72,13 +70,6 @@ def stop_after_two(task: Task) -> Row:
     if len(begun()) >= 2 and not _is_warm_up(task):
         signal.pause()
     return pretend(task)
-
-
-def run_until_killed(folder: Path) -> None:
-    """Run a study of which only two plans end, and tell how far it is; for a process to be killed."""
-    campaign = Campaign([study(instances=1)], folder, Terms(run=stop_after_two))
-    with Farm[Piece](None, 1) as farm:
-        campaign.run(farm, lambda standing: print(standing.done, flush=True))
 
 
 def _figures(task: Task) -> Row:

@@ -182,7 +182,7 @@ def test_a_killed_worker_s_plan_is_made_by_another_and_given_up_when_that_dies_t
 
 def test_a_run_goes_on_after_a_kill(tmp_path: Path, diary: Path) -> None:
     folder = tmp_path / "out"
-    program = "import sys, pathlib, bench_cases; bench_cases.run_until_killed(pathlib.Path(sys.argv[1]))"
+    program = "import sys, pathlib, campaign_to_kill as it; it.run_until_killed(pathlib.Path(sys.argv[1]))"
     with subprocess.Popen(
         [sys.executable, "-c", program, str(folder)],
         stdout=subprocess.PIPE,
