@@ -222,7 +222,9 @@ class Economy:
 
     def _values(self, k: int, codes: Codes) -> FloatArray:
         """Return what schedules bring into the rows, shape (M, rows)."""
-        robot, tables = self.leads[k], np.ascontiguousarray(self._tables[k].T)
+        robot, tables = self.leads[k], self._tables[k].T
+        if len(codes) > 1:
+            tables = np.ascontiguousarray(tables)
         values = np.zeros((len(codes), len(self.rows)))
         for w in range(len(robot.places)):
             values += tables[w * robot.width + codes[:, w] + robot.capacity]
