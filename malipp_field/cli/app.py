@@ -86,6 +86,7 @@ def _status(command: Callable[[], object]) -> int:
         context = getattr(fault, "ctx", None)
         where = "malipp" if context is None else context.command_path
         message = " ".join(str(getattr(fault, "format_message", fault.__str__)()).split())
+        message = message.replace("Value error, ", "")  # pydantic's, before the words that follow
         typer.echo(f"{where}: {message} (see {where} --help)", err=True)
         return INPUT_ERROR
     except MalippError as fault:

@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from malipp_field.mission import Mission
 
 _HEAR_S = 6.0
-_QUESTION = "  y: done, a number: done with this reading, n: not done, Enter: leave it"
 
 
 def confirm(
@@ -106,8 +105,10 @@ def _asked(awaited: Awaited) -> Confirm | None:
     from malipp_field.bus import Confirm
     from malipp_field.vehicle.steps import Action
 
+    reading = "a number: done with this reading, " if awaited.action is Action.COLLECT else ""
+    question = f"  y: done, {reading}n: not done, Enter: leave it"
     while True:
-        answer = typer.prompt(_QUESTION, default="", show_default=False, prompt_suffix="? ").strip()
+        answer = typer.prompt(question, default="", show_default=False, prompt_suffix="? ").strip()
         if not answer:
             return None
         if answer.lower() in ("y", "yes"):

@@ -43,5 +43,5 @@ async def _simulate(mission: Mission, folder: Path, port: int, speed: float) -> 
         for robot, url in fleet.links.items():
             signed = ", signed" if robot in keys else ""
             typer.echo(f"{robot}: system {fleet.rovers[robot].system_id}{signed}, connect with {url}")
-        typer.echo("Interrupt (Ctrl-C) to stop.")
+        typer.echo("Ctrl-C stops them.")
         await clock.run()

@@ -93,7 +93,7 @@ def vehicles(
 
     Exit status: 0 when all are heard and have the missions of the plan, if one is given; else 6.
     """
-    from malipp_field.cli.display import out
+    from malipp_field.cli.display import err, out
     from malipp_field.mission import read_mission
 
     mission, wanted = read_mission(mission_file), None
@@ -105,6 +105,9 @@ def vehicles(
     lines = asyncio.run(_look(mission, mission_file.parent, robots, wanted))
     for name, (words, _) in lines.items():
         out.print(f"{name}: {words}", soft_wrap=True)
+    timed = [name for name, (_, right) in lines.items() if not right and mission.vehicle(name).gate == "time"]
+    if wanted is not None and start is None and timed:
+        err.print(f"{', '.join(timed)}: with gates by time give the --start of the upload", soft_wrap=True)
     if not all(right for _, right in lines.values()):
         raise typer.Exit(NOT_DONE)
 
@@ -126,12 +129,11 @@ def _refuse_past(start_s: float, keepers: Iterable[str]) -> None:
     from malipp_field.clock import WallClock
     from malipp_field.vehicle.check_times import utc
 
-    late_s = WallClock().now_s() - start_s
-    if late_s > 0.0:
+    if start_s < WallClock().now_s():
         raise InputError(
             "--start", None, "",
-            f"{utc(start_s)} is {late_s:.0f} s ago: the gates of {', '.join(keepers)} would open before the "
-            "drops; give a time to come",
+            f"{utc(start_s)} is over: the gates of {', '.join(keepers)} would open before the drops; give a "
+            "time to come",
         )  # fmt: skip
 
 
@@ -196,14 +198,14 @@ async def _upload(
             Member(name, contacts[name].driver, lists, keeps_time=name in keepers)
             for name, lists in wanted.items()
         ]
-        line = stack.enter_context(ProgressLine("uploading"))
-
-        def tell(name: str, words: str) -> None:
-            doing[name] = words
-            line.show("; ".join(f"{each} {what}" for each, what in doing.items()))
-
         try:
-            await Transaction(members, hold=hold, on_progress=tell).run()
+            with ProgressLine("uploading") as line:
+
+                def tell(name: str, words: str) -> None:
+                    doing[name] = words
+                    line.show("; ".join(f"{each} {what}" for each, what in doing.items()))
+
+                await Transaction(members, hold=hold, on_progress=tell).run()
         finally:  # after Ctrl-C as well
             for member in members:
                 (out if member.state == "wanted" else err).print(
@@ -240,7 +242,7 @@ def _say_why_unheard(contacts: dict[str, Contact]) -> None:
     silent = [name for name, contact in contacts.items() if contact.driver.vehicle.heartbeats == 0]
     if silent:
         err.print(
-            f"not heard: {', '.join(silent)}; see that link, system_id and signing_key are right",
+            f"not heard: {', '.join(silent)}; check that link, system_id and signing_key are right",
             soft_wrap=True,
         )
 

@@ -137,7 +137,9 @@ class Member:
             await self.driver.put(items, kind, self._teller(kind, on_progress))
 
     def _teller(self, kind: MissionType, on_progress: OnProgress) -> Callable[[str, int, int], None]:
-        return lambda what, done, total: on_progress(self.robot, f"{kind.word} {what} {done}/{total}")
+        return lambda what, done, total: on_progress(
+            self.robot, f"{kind.word} {what} {done}/{total}" if total else f"{kind.word}: none"
+        )
 
 
 class Transaction:

@@ -107,6 +107,7 @@ def test_on_a_terminal_each_is_asked_about(
         ("helper", True, "", 0.25),
     ]
     assert "'3' is none of these" in capsys.readouterr().out, "a pick has no reading"
+    assert ["a number" in text for text in prompted] == [False, False, False, True]
 
 
 def test_what_is_not_taken_is_said() -> None:

@@ -155,6 +155,10 @@ def test_gates_by_time_go_to_vehicles_that_know_the_time(
         assert status("upload", *timed, *start, *links) == 0
         gates = [item for item in fleet["carrier"].autopilot.store.items if item.param1 == 1.0 and item.y > 0]
         assert gates
+        capsys.readouterr()
+        assert status("vehicles", timed[0], "--plan", timed[1], *links) == 6
+        assert capsys.readouterr().err == "carrier: with gates by time give the --start of the upload\n"
+        assert status("vehicles", timed[0], "--plan", timed[1], *start, *links) == 0
 
 
 def test_a_start_that_is_over_is_refused(
@@ -226,4 +230,6 @@ def test_who_is_not_heard_is_named_with_what_to_look_at(
         nobody.bind(("127.0.0.1", 0))
         link = f"mule=udpout:127.0.0.1:{nobody.getsockname()[1]}"
         assert status("vehicles", files[0], "--robot", "mule", "--link", link) == 6
-    assert capsys.readouterr().err == "not heard: mule; see that link, system_id and signing_key are right\n"
+    assert (
+        capsys.readouterr().err == "not heard: mule; check that link, system_id and signing_key are right\n"
+    )
