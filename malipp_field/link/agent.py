@@ -5,24 +5,19 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import Awaitable, Callable
-from typing import Literal, Protocol, TypeVar
+from typing import Protocol, TypeVar
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from malipp_field.bus.messages import (
-    Awaited,
     Command,
     Confirm,
-    Confirmation,
-    Event,
     Hold,
     Load,
     Message,
     Order,
     Reply,
-    Telemetry,
     presence_key,
-    root,
     vehicle_key,
 )
 from malipp_field.clock import Clock
@@ -34,9 +29,10 @@ from malipp_field.link.exchange import MavMessage
 from malipp_field.link.mission_watch import MissionWatch
 from malipp_field.link.orders import Orders
 from malipp_field.link.progress import Progress
+from malipp_field.link.reports import Publishes, Reports
 from malipp_field.link.vehicle import STREAM_MESSAGES, Vehicle
 from malipp_field.vehicle.payload_protocol import PayloadReport, ack_name, parse_confirmation
-from malipp_field.vehicle.steps import Action, Step, Witness
+from malipp_field.vehicle.steps import Step
 
 HEARTBEAT_S = 1.0
 TELEMETRY_S = 0.2
@@ -55,12 +51,8 @@ MessageT = TypeVar("MessageT", bound=Message)
 log = logging.getLogger(__name__)
 
 
-class AgentBus(Protocol):
+class AgentBus(Publishes, Protocol):
     """What an agent needs of the bus."""
-
-    def publish(self, key: str, message: Message) -> None:
-        """Say ``message`` to whoever listens to ``key``."""
-        ...
 
     async def serve(
         self, key: str, kind: type[MessageT], handler: Callable[[MessageT], Awaitable[Reply]]
@@ -132,9 +124,8 @@ class Agent:
         self._orders = Orders(robot, self._driver, self.progress, self._person_says)
         self._inbox = ConfirmationInbox()
         self._watch = MissionWatch(where.own)
+        self._reports = Reports(mission_name, robot, bus, clock)
         self._emergency: asyncio.Task[None] | None = None
-        self._published = 0
-        self._awaits: Awaited | None = None
         self._began_s = clock.now_s()
         self._link_ok = False
         self._due_s = {"heartbeat": 0.0, "telemetry": 0.0, "streams": 0.0}
@@ -153,7 +144,7 @@ class Agent:
             When the link cannot be opened; one that breaks later is opened again.
         """
         unheeded = STREAM_MESSAGES - self.vehicle.heeded
-        self._connection = await self._links.open(self._where, self._heard, self._event, unheeded)
+        self._connection = await self._links.open(self._where, self._heard, self._reports.event, unheeded)
         try:
             await self._bus.serve(
                 vehicle_key(self._mission_name, self._robot, "command"), Command, self._answer
@@ -186,7 +177,7 @@ class Agent:
             self._request_streams()
         self._driver.tick(now_s)
         if self.vehicle.lat_deg is not None and self._due("telemetry", TELEMETRY_S, now_s):
-            self._publish("telemetry", self._telemetry(now_s))
+            self._reports.telemetry(self.vehicle, self.progress, link_ok=self._link_ok)
 
     def _due(self, what: str, interval_s: float, now_s: float) -> bool:
         due_s = self._due_s[what]
@@ -203,9 +194,9 @@ class Agent:
         self._link_ok = link_ok
         if link_ok:
             self._streams_unheard, self._due_s["streams"] = set(STREAMS_HZ), now_s
-            self._event("info", "link: the vehicle is heard")
+            self._reports.event("info", "link: the vehicle is heard")
         else:
-            self._event("error", "link: the vehicle is not heard any more")
+            self._reports.event("error", "link: the vehicle is not heard any more")
 
     def _request_streams(self) -> None:
         for message_id in self._streams_unheard:
@@ -237,7 +228,9 @@ class Agent:
     def _distrust(self, why: str) -> None:
         """Take the mission on board for unknown; a vehicle under way must not come to what is not ours."""
         self.progress.forget()
-        self._event("error", f"somebody else changes the mission on board: {why}; it is not started any more")
+        self._reports.event(
+            "error", f"somebody else changes the mission on board: {why}; it is not started any more"
+        )
         self._emergency = asyncio.create_task(self._hold_unless_loaded())
 
     async def _hold_unless_loaded(self) -> None:
@@ -255,9 +248,9 @@ class Agent:
         if report is not None:
             self._confirmed(report)
         elif severity <= mavlink.MAV_SEVERITY_ERROR:
-            self._event("error", text)
+            self._reports.event("error", text)
         elif severity <= mavlink.MAV_SEVERITY_WARNING:
-            self._event("warning", text)
+            self._reports.event("warning", text)
 
     def _confirmed(self, report: PayloadReport) -> None:
         """Publish confirmations in order, then acknowledge; what was not published will be repeated."""
@@ -274,92 +267,29 @@ class Agent:
     def _script_says(self, report: PayloadReport) -> None:
         if self.progress.precedes(report):
             what = f"{report.action} of container {report.tag}, {report.result}"
-            self._event("warning", f"a confirmation of an earlier mission: {what}")
+            self._reports.event("warning", f"a confirmation of an earlier mission: {what}")
             return
         step = self.progress.step_of(report)
         if step is not None and step.uid in self.progress.done:
             return  # begun anew after a hold: the script says once more what it has done already
         if step is None:
-            self._event("error", f"no mission has a step '{report.action} {report.tag}', which was confirmed")
+            self._reports.event(
+                "error", f"no mission has a step '{report.action} {report.tag}', which was confirmed"
+            )
         goes_on = step is not None and report.result == "missing" and step.if_missing == "go_on"
-        self._publish_confirmation(
-            step, report.action, report.tag, by="script", ok=report.ok, value=report.value,
-            text="" if report.ok else report.result, goes_on=goes_on,
-        )  # fmt: skip
+        self._reports.script_said(step, report, goes_on=goes_on)
         if step is not None and (report.ok or goes_on):
             self.progress.settle(step)
         elif step is not None:
             self.progress.failed[step.uid] = report.result
 
     def _passed(self, step: Step) -> None:
-        self._publish_confirmation(step, step.action, step.tags[0], by="progress")
+        self._reports.passed(step)
         self.progress.settle(step)
 
     def _person_says(self, step: Step, word: Confirm) -> None:
-        self._publish_confirmation(
-            step, step.action, step.tags[0], by="person", ok=word.ok, value=word.value, text=word.text,
-            goes_on=not word.ok,
-        )  # fmt: skip
+        self._reports.person_said(step, word)
         self.progress.settle(step)
-
-    def _publish_confirmation(
-        self, step: Step | None, action: Action, tag: int, *, by: Witness, ok: bool = True,
-        value: float | None = None, text: str = "", goes_on: bool = False,
-    ) -> None:  # fmt: skip
-        confirmation = Confirmation(
-            time_s=self._clock.now_s(), robot=self._robot, number=self._published + 1,
-            uid=step.uid if step else "", action=action, node=step.node if step else "", tag=tag,
-            ok=ok, value=value, text=text, by=by, goes_on=goes_on,
-        )  # fmt: skip
-        self._publish("confirmation", confirmation)
-        self._published += 1
-
-    def _awaited(self, now_s: float) -> Awaited | None:
-        """Return what waits for a person, and since when."""
-        step, since_s = self.progress.awaited(), now_s
-        if step is None:
-            self._awaits = None
-            return None
-        if self._awaits is not None and self._awaits.uid == step.uid:
-            since_s = self._awaits.since_s
-        self._awaits = Awaited(
-            uid=step.uid, action=step.action, node=step.node, tag=step.tags[0], since_s=since_s,
-            problem=self.progress.failed.get(step.uid, ""),
-        )  # fmt: skip
-        return self._awaits
-
-    def _telemetry(self, now_s: float) -> Telemetry:
-        vehicle, progress = self.vehicle, self.progress
-        return Telemetry(
-            time_s=now_s,
-            robot=self._robot,
-            lat_deg=vehicle.lat_deg or 0.0,
-            lon_deg=vehicle.lon_deg or 0.0,
-            heading_deg=vehicle.heading_deg,
-            speed_m_s=vehicle.speed_m_s,
-            mode=vehicle.mode,
-            armed=vehicle.armed,
-            ready_to_arm=vehicle.ready_to_arm,
-            energy_used_j=vehicle.energy_used_j,
-            mission_version=None if progress.mission is None else progress.mission.version,
-            step_uid=None if progress.current is None else progress.current.uid,
-            finished=progress.finished,
-            link_ok=self._link_ok,
-            awaits=self._awaited(now_s),
-        )
-
-    def _publish(self, what: str, message: Message) -> None:
-        self._bus.publish(vehicle_key(self._mission_name, self._robot, what), message)
-
-    def _event(self, severity: Literal["info", "warning", "error"], text: str) -> None:
-        event = Event(
-            time_s=self._clock.now_s(),
-            source=f"agent {self._robot}",
-            severity=severity,
-            text=text,
-            robot=self._robot,
-        )
-        self._bus.publish(f"{root(self._mission_name)}/event", event)
 
     # Orders: one at a time, but a hold goes before all others.
 
@@ -382,7 +312,7 @@ class Agent:
         try:
             text = await task
         except LinkError as fault:
-            self._event("warning", f"{order.do} was not done: {fault}")
+            self._reports.event("warning", f"{order.do} was not done: {fault}")
             return self._reply(ok=False, text=str(fault))
         except asyncio.CancelledError:
             task.cancel()
@@ -392,7 +322,7 @@ class Agent:
         finally:
             self._order, self._loading = None, False
         if isinstance(order, Hold):
-            self._event("info", f"holding: {order.reason}")
+            self._reports.event("info", f"holding: {order.reason}")
         return self._reply(ok=True, text=text)
 
     def _reply(self, *, ok: bool, text: str) -> Reply:
