@@ -119,7 +119,8 @@ class Confirmation(Message):
     kind: Literal["confirmation/1"] = "confirmation/1"
     robot: str
     number: int
-    """Counts this vehicle's confirmations from 1, without gaps."""
+    """Counts what this vehicle's agent has confirmed since it was started, from 1 and without gaps. An agent
+    that is started again begins at 1: only the uid, or action and tag, tell one confirmation from another."""
     uid: str
     action: Action
     node: str
@@ -174,6 +175,11 @@ class Load(BaseModel):
     and the new mission share: the step being carried out must be part of the new mission, or be the gate
     (a `WAIT` step) named by `diverges_at`; a vehicle that has finished is always at its last step's node.
     After a failure the vehicle is left holding, never driving.
+
+    An agent that was started again in mid-mission knows nothing of it. Told by `begun` or `done` that the
+    vehicle is part-way, it reads what is on board first; where that is this mission, it follows it from the
+    item that the vehicle reports, and neither stops the vehicle nor uploads anything. A vehicle that drives
+    another one then is left alone, unless `begun` says that it should not.
     """
 
     do: Literal["load"] = "load"
@@ -181,6 +187,11 @@ class Load(BaseModel):
     resume: bool = False
     diverges_at: str | None = None
     """The first step of the mission in force that the new one does not keep."""
+    done: tuple[str, ...] = ()
+    """Uids of steps known to be done, for an agent that may not know: they are neither done nor confirmed
+    again. Those that are not of the mission do no harm."""
+    begun: bool = False
+    """The vehicle was seen to carry out this very mission: also in HOLD, the item it reports is one of it."""
 
 
 class Start(BaseModel):

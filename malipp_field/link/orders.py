@@ -9,11 +9,12 @@ from collections.abc import Callable
 from malipp_field.bus.messages import Confirm, Hold, Load, Order, Release, Start
 from malipp_field.errors import LinkError
 from malipp_field.link.compare import differences
+from malipp_field.link.confirmations import JOINING_S
 from malipp_field.link.driver import Driver
 from malipp_field.link.progress import Progress
 from malipp_field.link.replacement import replace_under_way, safe_until_s
 from malipp_field.link.time_of_day import compare_clocks
-from malipp_field.vehicle.layout import lay_out
+from malipp_field.vehicle.layout import confirmed_by, lay_out
 from malipp_field.vehicle.payload_protocol import REPEAT_S
 from malipp_field.vehicle.steps import Action, Step, VehicleMission
 
@@ -69,8 +70,17 @@ class Orders:
         mission, vehicle = order.mission, self._driver.vehicle
         if mission.robot != self._robot:
             raise LinkError(f"the mission is for '{mission.robot}', not for '{self._robot}'")
+        self._leave_to_a_person()
+        self._progress.learn(order.done)
         under_way = self._progress.under_way
-        if order.resume and vehicle.armed and not under_way:
+        part_way = vehicle.armed and not under_way
+        # Whether this agent has seen it or not; else the vehicle would be disarmed to go on.
+        vehicle.auto_entered |= part_way and (order.begun or bool(order.done))
+        if part_way and await self._take_up(order):
+            if order.resume and vehicle.mode != "AUTO":
+                await self._go(mission)
+            return f"version {mission.version} was on board; the vehicle was not stopped"
+        if part_way and (order.resume or (order.done and not order.begun and vehicle.mode == "AUTO")):
             raise LinkError("the vehicle is armed, but not by this agent: what it has done is not known")
         self._object_to(order)
         if mission.keeps_time:
@@ -82,9 +92,42 @@ class Orders:
         self._progress.forget()
         await self._driver.install(lay_out(mission).items)
         self._adopt(mission)
+        if part_way and order.done:
+            await self._listen_to_script(mission)
         if order.resume and under_way:
             await self._go(mission)
         return f"version {mission.version} is on board and verified"
+
+    def _leave_to_a_person(self) -> None:
+        vehicle = self._driver.vehicle
+        if vehicle.armed and vehicle.mode not in ("AUTO", "HOLD"):
+            raise LinkError(
+                f"the vehicle is armed and in {vehicle.mode}: a person has it; HOLD gives it back"
+            )
+
+    async def _take_up(self, order: Load) -> bool:
+        """Follow a mission begun before this agent was started, if it is what is on board; change nothing.
+
+        Where it is not, or the vehicle may not be at the item of it that it reports, return False. In HOLD
+        that item may be one of a mission before; so it is after this agent has loaded one.
+        """
+        mission, layout, vehicle = order.mission, lay_out(order.mission), self._driver.vehicle
+        if self._progress.known or not (order.begun or (order.done and vehicle.mode == "AUTO")):
+            return False
+        if differences(layout.items, await self._driver.download()):
+            return False
+        await self._driver.hear_index()
+        item = None if vehicle.mission_complete else vehicle.current_seq
+        if not vehicle.armed or item not in (None, *range(1, len(layout.items))):
+            return False
+        self._adopt(mission)
+        self._progress.follow(item)
+        return True
+
+    async def _listen_to_script(self, mission: VehicleMission) -> None:
+        """Hear what the script has done while nobody listened, before it is asked for it again."""
+        if any(confirmed_by(mission, step) == "script" for step in mission.steps):
+            await self._driver.clock.sleep(JOINING_S + 2 * REPEAT_S)
 
     async def _replace_under_way(self, mission: VehicleMission) -> bool:
         """Replace the mission of a vehicle on a leg that both missions have, if that is safe without a stop.
@@ -156,6 +199,7 @@ class Orders:
 
     async def _start(self, version: int | None) -> str:
         mission, vehicle = self._progress.mission, self._driver.vehicle
+        self._leave_to_a_person()
         if mission is None:
             raise LinkError("there is no verified mission on board")
         if version not in (None, mission.version):

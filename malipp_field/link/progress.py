@@ -8,6 +8,7 @@ action of hardware that cannot speak that has to do as well.
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Iterable
 
 from malipp_field.vehicle.layout import Layout, confirmed_by, lay_out
 from malipp_field.vehicle.payload_protocol import PayloadReport
@@ -85,6 +86,10 @@ class Progress:
         self.mission = mission
         self._known.appendleft(mission)
 
+    def learn(self, done: Iterable[str]) -> None:
+        """Take over what others know to be done, by uid."""
+        self.done.update(done)
+
     def forget(self) -> None:
         """Note that what is on board is not known any more."""
         self.mission = None
@@ -104,11 +109,19 @@ class Progress:
         left = self._layout.last_item(self._index) - self._item
         return max(first, layout.last_item(index) - left)
 
-    def follow(self, item: int) -> None:
-        """Count MISSION_CURRENT from now on: the vehicle is at that item of the mission on board."""
+    def follow(self, item: int | None) -> None:
+        """Count MISSION_CURRENT from now on: the vehicle is at that item of the mission on board.
+
+        None: it has come to the end of it.
+        """
         assert self.mission is not None
         self._followed, self._layout = self.mission, lay_out(self.mission)
-        self._index, self._item = self._layout.steps[item], item
+        self._index, self._item = self._position(self.mission, self._layout, item)
+
+    @staticmethod
+    def _position(mission: VehicleMission, layout: Layout, item: int | None) -> tuple[int, int]:
+        """Return index of the step, and item, of a vehicle at ``item``; None: at the end."""
+        return (len(mission.steps), 0) if item is None else (layout.steps[item], item)
 
     def unfollow(self) -> None:
         """Note that the mission was not begun after all."""
@@ -132,7 +145,7 @@ class Progress:
         if not (complete or 0 < seq < len(layout.steps)):
             return []
         before, passed = self._index, []
-        self._index, self._item = (len(mission.steps), 0) if complete else (layout.steps[seq], seq)
+        self._index, self._item = self._position(mission, layout, None if complete else seq)
         for step in mission.steps[: min(before, self._index)]:
             if step.action in _PASSED_BY:
                 self.done.add(step.uid)

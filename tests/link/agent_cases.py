@@ -116,6 +116,7 @@ class Yard:
         self.watch: Callable[[Any], None] = lambda message: None
         self.on_send: Callable[[Any], None] = lambda message: None
         self.on_hear: Callable[[Any], None] = lambda message: None
+        self.work: asyncio.Future[None]
 
     async def open(
         self, where: VehicleLink, on_message: OnMessage, on_event: OnEvent, skip: frozenset[int]
@@ -181,16 +182,35 @@ class Yard:
         """Run a scene with the agent at work."""
 
         async def whole() -> ResultT:
-            agent = self.work = asyncio.ensure_future(self.agent.run())
+            self.work = asyncio.ensure_future(self.agent.run())
             try:
                 await self.live(1.5)
                 return await scene(self)
             finally:
-                agent.cancel()
-                outcome = (await asyncio.gather(agent, return_exceptions=True))[0]
-                assert isinstance(outcome, asyncio.CancelledError), outcome
+                await self.kill_agent()
 
         return asyncio.run(whole())
+
+    async def kill_agent(self) -> None:
+        """Have the agent's process die."""
+        self.work.cancel()
+        outcome = (await asyncio.gather(self.work, return_exceptions=True))[0]
+        assert isinstance(outcome, asyncio.CancelledError), outcome
+        self._on_message = lambda message: None
+        self.bus.handler = None
+
+    async def restart_agent(self, after_s: float) -> None:
+        """Have the agent's process die, and another take its place some time later."""
+        await self.kill_agent()
+        await self.live(after_s)
+        await self.start_agent()
+
+    async def start_agent(self) -> None:
+        """Start another agent in the place of the one that died."""
+        self.cut = False
+        self.agent = Agent("yard", "scout", WHERE, self, self.bus, self.clock)
+        self.work = asyncio.ensure_future(self.agent.run())
+        await self.live(1.5)
 
     @property
     def telemetry(self) -> Telemetry:

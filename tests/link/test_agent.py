@@ -264,11 +264,12 @@ def test_a_vehicle_that_is_not_there() -> None:
 def test_an_armed_vehicle_that_somebody_else_started_is_not_resumed() -> None:
     async def scene(yard: Yard) -> None:
         await yard.live(5.0)
+        yard.rover.autopilot.set_mode(mavlink.ROVER_MODE_HOLD)
         yard.rover.autopilot.arm()
         await yard.live(2.0)
         reply = await yard.order(Load(mission=yard.mission(*ROUND), resume=True))
         assert "not by this agent" in reply.text
-        await fly(yard, *ROUND)  # from the beginning it may be
+        await fly(yard, *ROUND)  # nothing is said to be done: the operator begins
         assert not yard.rover.autopilot.internal_error
         await yard.until(lambda: yard.telemetry.finished)
         assert [uid for _, uid, _ in yard.confirmed] == WORK_DONE
