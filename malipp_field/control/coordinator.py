@@ -25,7 +25,7 @@ from malipp_field.bus import (
     vehicle_key,
 )
 from malipp_field.clock import Clock
-from malipp_field.control.dispatch import Dispatch, Severity
+from malipp_field.control.dispatch import Dispatch
 from malipp_field.control.ending import conclusion
 from malipp_field.control.experience import Experience
 from malipp_field.control.gates import GateKeeper
@@ -37,6 +37,7 @@ from malipp_field.control.remainder import remainder
 from malipp_field.control.revision import Revision, revise
 from malipp_field.control.schedule import Schedule
 from malipp_field.control.stranded import broken_chain
+from malipp_field.control.strays import Severity
 from malipp_field.control.tracks import Track
 from malipp_field.mission import Mission, TeamState
 from malipp_field.plan import Plan
@@ -103,7 +104,6 @@ class Coordinator:
         self._mission_text = mission_text
         self._bus, self._clock, self._planner = bus, clock, planner
         self._witnesses, self._on_tick = witnesses, on_tick
-        self._dispatch = Dispatch(Orders(mission.name, bus, clock), clock, self._say)
         self._roads = Roads(mission)
         self._experience = Experience()
         self.ledger = CustodyLedger()
@@ -112,6 +112,7 @@ class Coordinator:
             robot: Track(mission, plan.robot(robot), vehicle_mission)
             for robot, vehicle_mission in compiled.missions.items()
         }
+        self._dispatch = Dispatch(Orders(mission.name, bus, clock), clock, self._say, self.tracks)
         self._samples = compiled.samples
         self._schedule = Schedule(
             mission, self.tracks, self.ledger, self._experience, plan, compiled.missions
@@ -148,7 +149,7 @@ class Coordinator:
             return self._ended(False, refusal)
         while (outcome := self._over()) is None:
             await self._clock.sleep(_TICK_S)
-            await self._dispatch.restore(self._in_force(), self._present)
+            await self._dispatch.restore(self._present)
             trigger = self._trigger()
             if trigger is None:
                 self._gates.open_all()
@@ -184,6 +185,7 @@ class Coordinator:
         robot = telemetry.robot
         if not self._is_from(robot, key):
             return
+        self._present.add(robot)  # the end of a former agent may be told after a new one is there
         before = self.tracks[robot].telemetry
         if telemetry.awaits is not None and (before is None or before.awaits is None):
             self._say("info", f"waits for a person: {telemetry.awaits}; then: malipp confirm", robot)
@@ -280,7 +282,7 @@ class Coordinator:
 
     def _trigger(self) -> str | None:
         """Return why the plan in force should be looked at again, or `None`."""
-        if self._clock.now_s() < self._quiet_until_s:
+        if self._clock.now_s() < self._quiet_until_s or self._dispatch.restoring(self._present):
             return None
         return broken_chain(self.tracks, self.ledger) or self._schedule.intolerable(self.mission_time_s)
 
@@ -346,7 +348,7 @@ class Coordinator:
         refusals = await self._dispatch.load(revision.missions, revision.outlook.diverges_at, resume=alone)
         if refusals and not (alone and await self._took_effect(revision)):
             self._say("warning", _in_words(f"plan {revision.plan.version} is dropped", refusals))
-            await self._dispatch.put_back(revision.missions, self._in_force(), self._present)
+            await self._dispatch.put_back(revision.missions, self._present)
             return
         self._adopt(revision, reason)
         names = ", ".join(revision.missions) or "no vehicle"

@@ -8,8 +8,9 @@ from collections.abc import Mapping
 
 from malipp_field.bus import CustodyEvent
 from malipp_field.clock import Clock
-from malipp_field.control.dispatch import Dispatch, Say
+from malipp_field.control.dispatch import Dispatch
 from malipp_field.control.ledger import CustodyLedger
+from malipp_field.control.strays import Say
 from malipp_field.control.tracks import Track
 from malipp_field.vehicle.steps import Action, Step
 

@@ -61,6 +61,11 @@ class Track:
         """Clock time at which the vehicle last reported another step."""
         self.progress_s = 0.0
         """Clock time at which the vehicle last began a step or got a little further."""
+        self.lost_s: float | None = None
+        """Clock time since when its agent has known of no mission; null while it knows one."""
+        self.known: Telemetry | None = None
+        """The last report with a mission."""
+        self._driven: int | None = None  # version of the last mission that it was seen to drive
         self._confirmed: set[str] = set()
         self._reached = 0  # index of the step that telemetry has told of
         self._mark = (math.inf, math.inf)
@@ -76,6 +81,22 @@ class Track:
 
     def _is_done(self, index: int, step: Step) -> bool:
         return step.uid in self._confirmed or (step.action in _PASSED_BY and index < self._reached)
+
+    @property
+    def done(self) -> tuple[str, ...]:
+        """Uids of all steps known to be done, those of earlier missions too."""
+        passed = (step.uid for i, step in enumerate(self.mission.steps) if self._is_done(i, step))
+        return tuple(sorted({*self._confirmed, *passed}))
+
+    @property
+    def begun(self) -> bool:
+        """Whether the vehicle was seen to carry out its present mission."""
+        return self._driven == self.mission.version
+
+    @property
+    def has_driven(self) -> bool:
+        """Whether the vehicle was seen to carry out any mission."""
+        return self._driven is not None
 
     @property
     def step(self) -> Step | None:
@@ -106,6 +127,10 @@ class Track:
         """Note that a payload step was confirmed, or a gate passed."""
         self._confirmed.add(uid)
 
+    def set_off(self) -> None:
+        """Note that the vehicle was started on its mission."""
+        self._driven = self.mission.version
+
     def reports(self, step: Step) -> bool:
         """Tell whether the vehicle itself says that it is at a step."""
         return self.telemetry is not None and self.telemetry.step_uid == step.uid
@@ -121,6 +146,7 @@ class Track:
             What the vehicle has had on board since it began the step it was at.
         """
         before, self.telemetry = self.telemetry, telemetry
+        self._note_mission(telemetry)
         self._reached = self._reached_by(telemetry)
         begun = before is None or telemetry.step_uid != before.step_uid
         if begun or math.dist(self._mark, self.position) > _PROGRESS_M:
@@ -132,6 +158,15 @@ class Track:
         done = self._measured(roads, load)
         self._leg = self._leg_begun()
         return done
+
+    def _note_mission(self, telemetry: Telemetry) -> None:
+        """Note whether the agent knows of a mission, and which one the vehicle drives."""
+        if telemetry.mission_version is None:
+            self.lost_s = telemetry.time_s if self.lost_s is None else self.lost_s
+            return
+        self.lost_s, self.known = None, telemetry
+        if telemetry.armed and telemetry.mode == "AUTO" and telemetry.step_uid is not None:
+            self._driven = telemetry.mission_version
 
     def _reached_by(self, telemetry: Telemetry) -> int:
         """Return the index of the step a report tells of; about another mission it may say nothing of that.

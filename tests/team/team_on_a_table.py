@@ -9,7 +9,17 @@ from typing import Any, TypeVar, cast
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from malipp_field.bus import Confirmation, Event, Ledger, Message, PlanAdopted, Reply, Telemetry
+from malipp_field.bus import (
+    Confirmation,
+    Event,
+    Ledger,
+    Message,
+    PlanAdopted,
+    Reply,
+    Telemetry,
+    presence_key,
+    vehicle_key,
+)
 from malipp_field.clock import SimClock
 from malipp_field.control import Coordinator, Outcome, Planner
 from malipp_field.errors import LinkError
@@ -34,7 +44,8 @@ class LocalBus:
         self.said: list[tuple[str, Message]] = []
         self._heard: list[tuple[str, type[Message], Callable[[str, Any], None]]] = []
         self._served: dict[str, Callable[[Any], Awaitable[Reply]]] = {}
-        self._present: list[str] = []
+        self._present: set[str] = set()
+        self._watchers: list[Callable[[str, bool], None]] = []
 
     def publish(self, key: str, message: Message) -> None:
         if not isinstance(message, Telemetry):
@@ -59,11 +70,24 @@ class LocalBus:
         return await self._served[key](message)
 
     async def present(self, key: str) -> None:
-        self._present.append(key)
+        self._present.add(key)
+        for watcher in self._watchers:
+            watcher(key, True)
 
     async def watch_presence(self, expression: str, callback: Callable[[str, bool], None]) -> None:
+        self._watchers.append(callback)
         for key in self._present:
             callback(key, True)
+
+    def lose(self, key: str) -> None:
+        """Have nobody answer there any more."""
+        self._served.pop(key, None)
+
+    def tell_of_end(self, key: str) -> None:
+        """Have the presence under that key end."""
+        self._present.discard(key)
+        for watcher in self._watchers:
+            watcher(key, False)
 
     def of(self, kind: type[MessageT]) -> list[MessageT]:
         return [message for _, message in self.said if isinstance(message, kind)]
@@ -76,12 +100,14 @@ class Wires:
         self.rover, self._clock = rover, clock
         self.cut = False
         self._up: list[Any] = []
+        self._on_message: OnMessage | None = None
+        self._skip: frozenset[int] = frozenset()
 
     async def open(
         self, where: VehicleLink, on_message: OnMessage, on_event: OnEvent, skip: frozenset[int]
     ) -> Wires:
         assert where.system_id == self.rover.system_id
-        self._on_message, self._skip = on_message, skip
+        self._on_message, self._skip, self.cut = on_message, skip, False
         return self
 
     def send(self, message: Any) -> None:
@@ -89,7 +115,7 @@ class Wires:
             self._up.append(_framed(message, 255, 190))
 
     def close(self) -> None:
-        self.cut = True
+        self.cut, self._on_message = True, None
 
     def carry(self) -> None:
         up, self._up = self._up, []
@@ -98,7 +124,7 @@ class Wires:
         self.rover.step(self._clock.now_s())
         outbox, self.rover.outbox = self.rover.outbox, []
         for _, message in outbox:
-            if not self.cut and message.get_msgId() not in self._skip:
+            if self._on_message is not None and not self.cut and message.get_msgId() not in self._skip:
                 self._on_message(_framed(message, self.rover.system_id, 1))
 
 
@@ -140,19 +166,29 @@ class Team:
         self.fleet = Fleet(mission, self.clock)  # not entered: its rovers live by `carry`
         self.world = self.fleet.world
         self.wires = {robot: Wires(rover, self.clock) for robot, rover in self.fleet.rovers.items()}
-        self.agents = {
-            robot: Agent(
-                mission.name,
-                robot,
-                VehicleLink(parse_link_url("udpout:rover:14550"), rover.system_id),
-                self.wires[robot],
-                self.bus,
-                self.clock,
-            )
-            for robot, rover in self.fleet.rovers.items()
-        }
+        self.agents = {robot: self._agent(robot) for robot in self.fleet.rovers}
+        self._lives: dict[str, asyncio.Future[None]] = {}
         self.coordinator = Coordinator(mission, "", plan, bus, self.clock, planner)
         self._watch = watch
+
+    def _agent(self, robot: str) -> Agent:
+        where = VehicleLink(parse_link_url("udpout:rover:14550"), self.fleet.rovers[robot].system_id)
+        return Agent(self.mission.name, robot, where, self.wires[robot], self.bus, self.clock)
+
+    def kill_agent(self, robot: str) -> None:
+        """Have the process of an agent die; `tell_of_end` may come any time later."""
+        self._lives.pop(robot).cancel()
+        self.wires[robot].close()
+        self.bus.lose(vehicle_key(self.mission.name, robot, "command"))
+
+    def tell_of_end(self, robot: str) -> None:
+        """Have everybody hear that an agent is gone."""
+        self.bus.tell_of_end(presence_key(self.mission.name, robot))
+
+    def start_agent(self, robot: str) -> None:
+        """Have another take its place, some steps later."""
+        self.agents[robot] = self._agent(robot)
+        self._lives[robot] = asyncio.ensure_future(self.agents[robot].run())
 
     def run(self, limit_s: float = 20_000.0) -> Outcome:
         """Carry the mission out, for at most so long."""
@@ -160,8 +196,8 @@ class Team:
 
     async def _run(self, limit_s: float) -> Outcome:
         person = Person(self.mission, self.fleet, cast(Any, self.bus), self.clock)
-        services = [asyncio.ensure_future(agent.run()) for agent in self.agents.values()]
-        services.append(asyncio.ensure_future(person.run()))
+        self._lives = {robot: asyncio.ensure_future(agent.run()) for robot, agent in self.agents.items()}
+        self._lives["person"] = asyncio.ensure_future(person.run())
         await self._live()
         flight = asyncio.ensure_future(self.coordinator.run())
         end_s = self.clock.now_s() + limit_s
@@ -169,19 +205,19 @@ class Team:
             while not flight.done():
                 assert self.clock.now_s() < end_s, "the mission does not end"
                 await self._live()
-                for service in services:
-                    assert not service.done(), service.exception()
+                for life in self._lives.values():
+                    assert not life.done(), life.exception()
             return flight.result()
         finally:
-            for task in (flight, *services):
+            everybody: list[asyncio.Future[Any]] = [flight, *self._lives.values()]
+            for task in everybody:
                 task.cancel()
-            await asyncio.gather(flight, *services, return_exceptions=True)
+            await asyncio.gather(*everybody, return_exceptions=True)
 
     async def _live(self) -> None:
         self.clock.advance(_STEP_S)
         for wires in self.wires.values():
-            if hasattr(wires, "_on_message"):
-                wires.carry()
+            wires.carry()
         for _ in range(_WAKE_UPS):
             await asyncio.sleep(0)
         self._watch(self)
