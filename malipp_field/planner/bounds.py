@@ -17,6 +17,9 @@ from malipp_field.field import FloatArray
 from malipp_field.planner.linear import Effort
 from malipp_field.planner.problem import IntArray, Problem, RobotView
 
+_MOST_PAIRS = 10_000
+"""Pairs of places, of all robots, up to which the cone relaxation takes seconds and some hundred megabytes.
+Its time grows faster than their number, and from about here on it is the weaker bound of the two."""
 _ROUNDS = 20
 _TRIALS = 40
 """Prices of energy that are tried in each round."""
@@ -48,6 +51,11 @@ class _Reach:
     carriage_j: FloatArray
     budget_j: float
     precision: float
+
+
+def is_relaxable(problem: Problem) -> bool:
+    """Tell whether the cone relaxation (`malipp_field.planner.relaxation`) is of use for such a team."""
+    return sum(len(robot.places) ** 2 for robot in problem.robots) <= _MOST_PAIRS
 
 
 def quick_bound(problem: Problem, effort: Effort) -> float:

@@ -91,7 +91,7 @@ class Draft:
     def terminal(self, r: int, inner: list[int]) -> int:
         """Return the cheapest depot to end at after the stops ``inner``."""
         robot = self.problem.robots[r]
-        cost = robot.closure.rows[inner[-1]]
+        cost = robot.closure.energy_per_kg[inner[-1]]
         allowed = [d for d in robot.depots if d != inner[-1] or len(inner) == 1]
         return min(allowed or robot.depots, key=lambda d: cost[d])
 

@@ -169,6 +169,7 @@ def build_problem(
     candidates = candidate_ids(mission)
     closures = _closures(mission, state, index, stocks)
     fertile = [node for node in candidates if node not in state.barren]
+    taken = [(state.robot(robot.id).collected, robot.noise_variance) for robot in mission.team.robots]
     problem = Problem(
         nodes=nodes,
         candidates=tuple(index[node] for node in candidates),
@@ -179,10 +180,7 @@ def build_problem(
         stocks=stocks,
         information=information_model(mission),
         gained=np.array(
-            [
-                sum(state.robot(r.id).collected.get(node, 0) / r.noise_variance for r in mission.team.robots)
-                for node in candidates
-            ]
+            [sum(collected.get(node, 0) / variance for collected, variance in taken) for node in candidates]
         ),
         sample_mass_kg=mission.team.sample_mass_kg,
         service_time_s=mission.team.service_time_s,

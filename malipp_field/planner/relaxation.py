@@ -22,6 +22,7 @@ import numpy as np
 
 from malipp_field.field import FloatArray
 from malipp_field.mission import Mission, TeamState, initial_state
+from malipp_field.planner.bounds import is_relaxable
 from malipp_field.planner.problem import Problem, build_problem
 from malipp_field.planner.relaxation_cone import solve_cone
 from malipp_field.planner.relaxation_rows import Polytope
@@ -93,12 +94,13 @@ def relaxed_values(
     -------
     dict or None
         Without the robots for which there was no time (the multipliers may take as long again as the solver
-        did); None where some robot reaches no depot, or the solver gave no answer in time.
+        did); None where some robot reaches no depot, the team is too large (`bounds.is_relaxable`), or the
+        solver gave no answer in time.
     """
     started = time.monotonic()
     problem = build_problem(mission, state)
     most = _most_precision(problem)
-    if not all(robot.depots for robot in problem.robots):
+    if not is_relaxable(problem) or not all(robot.depots for robot in problem.robots):
         return None
     if not np.any(most > problem.gained):
         return {robot.id: RelaxedValue(0.0, 0.0) for robot in problem.robots}

@@ -55,7 +55,8 @@ class RobotColumns:
     """Columns of one robot by arc and by physical node (indices into `Problem.nodes`).
 
     ``x`` arcs, ``load`` Q, ``spent`` energy used up to the end of an arc as a share of the budget, ``a``
-    samples, ``g`` unloaded, ``h`` net exchange (received less dropped).
+    samples, ``g`` unloaded, ``h`` net exchange (received less dropped). ``into`` and ``out_of`` list the arcs
+    of each node, so that a row takes no search through all of them.
     """
 
     x: dict[Arc, int] = field(default_factory=dict)
@@ -64,6 +65,16 @@ class RobotColumns:
     a: dict[int, int] = field(default_factory=dict)
     g: dict[int, int] = field(default_factory=dict)
     h: dict[int, int] = field(default_factory=dict)
+    into: dict[int, list[Arc]] = field(default_factory=lambda: defaultdict(list))
+    out_of: dict[int, list[Arc]] = field(default_factory=lambda: defaultdict(list))
+
+    def entering(self, columns: dict[Arc, int], v: int) -> Terms:
+        """Return the columns of the arcs into ``v``."""
+        return [(columns[arc], 1.0) for arc in self.into.get(v, ())]
+
+    def leaving(self, columns: dict[Arc, int], v: int) -> Terms:
+        """Return the columns of the arcs out of ``v``."""
+        return [(columns[arc], 1.0) for arc in self.out_of.get(v, ())]
 
 
 class Polytope:
@@ -132,6 +143,8 @@ class Polytope:
         problem, robot, most = self.problem, self.problem.robots[r], float(self.capacity[r])
         columns = RobotColumns()
         for arc in problem.arcs(r):
+            columns.out_of[arc[0]].append(arc)
+            columns.into[arc[1]].append(arc)
             columns.x[arc] = self._column(0.0, 1.0)
             columns.load[arc] = self._column(0.0, most)
             columns.spent[arc] = self._column(0.0, 1.0)
@@ -149,10 +162,10 @@ class Polytope:
     def _route(self, r: int, columns: RobotColumns) -> None:
         """eq:start, eq:visit_terminal, eq:balance, eq:sampling_visit."""
         robot = self.problem.robots[r]
-        self._equal.add(_leaving(columns.x, robot.start), 1.0)
+        self._equal.add(columns.leaving(columns.x, robot.start), 1.0)
         for v in robot.stops:
-            visited = _entering(columns.x, v)
-            self._equal.add(visited + _times(_leaving(columns.x, v), -1.0), 0.0)
+            visited = columns.entering(columns.x, v)
+            self._equal.add(visited + _times(columns.leaving(columns.x, v), -1.0), 0.0)
             self._at_most.add(visited, 1.0)
             if v in columns.a:
                 limit = float(robot.limits[v])
@@ -164,12 +177,12 @@ class Polytope:
         for arc, load in columns.load.items():
             self._at_most.add([(load, 1.0), (columns.x[arc], -most)], 0.0)
         for v in robot.places:
-            visited, known = ([], 1.0) if v == robot.start else (_entering(columns.x, v), 0.0)
+            visited, known = ([], 1.0) if v == robot.start else (columns.entering(columns.x, v), 0.0)
             on_board = float(robot.on_board) if v == robot.start else 0.0
-            brought = _entering(columns.load, v) + [(c, 1.0) for c in _at(columns.a, v)]
+            brought = columns.entering(columns.load, v) + [(c, 1.0) for c in _at(columns.a, v)]
             unloaded = [(c, -1.0) for c in _at(columns.g, v)]
             h = columns.h[v]
-            gone = _times(_leaving(columns.load, v), -1.0)
+            gone = _times(columns.leaving(columns.load, v), -1.0)
             self._equal.add(brought + unloaded + [(h, 1.0)] + gone, -on_board)
             self._at_most.add(brought + unloaded + _times(visited, -most), most * known - on_board)
             for g in _at(columns.g, v):
@@ -197,12 +210,11 @@ class Polytope:
             self._at_most.add([(column, 1.0), (x, rest - 1.0)], 0.0)
         for v in robot.places:
             taken: Terms = []
-            for arc in columns.x:
-                if arc[0] == v:
-                    taken.append((columns.x[arc], share(arc) * robot.empty_mass_kg))
-                    taken.append((columns.load[arc], share(arc) * problem.sample_mass_kg))
-            spent = _entering(columns.spent, v) if v != robot.start else []
-            self._equal.add(spent + taken + _times(_leaving(columns.spent, v), -1.0), 0.0)
+            for arc in columns.out_of.get(v, ()):
+                taken.append((columns.x[arc], share(arc) * robot.empty_mass_kg))
+                taken.append((columns.load[arc], share(arc) * problem.sample_mass_kg))
+            spent = columns.entering(columns.spent, v) if v != robot.start else []
+            self._equal.add(spent + taken + _times(columns.leaving(columns.spent, v), -1.0), 0.0)
 
     def _exchange(self) -> None:
         """Let the team receive at a node what it drops there and what lay there before."""
@@ -222,11 +234,12 @@ class Polytope:
         return sum(self._cut_robot(r, z, margin) for r in range(len(self.robots)))
 
     def _cut_robot(self, r: int, z: FloatArray, margin: float) -> int:
-        robot, x = self.problem.robots[r], self.robots[r].x
+        robot, columns = self.problem.robots[r], self.robots[r]
+        x = columns.x
         graph = _capacities(x, z, len(self.problem.nodes))
         added = 0
         for v in robot.stops:
-            visited = sum(z[column] for column, _ in _entering(x, v))
+            visited = sum(z[column] for column, _ in columns.entering(x, v))
             if visited < margin:
                 continue
             inside = _behind_minimum_cut(graph, robot.start, v)
@@ -234,7 +247,7 @@ class Polytope:
             short = visited + sum(z[c] * sign for c, sign in crossing)
             if short > margin and (r, v, inside) not in self._cut:
                 self._cut.add((r, v, inside))
-                self._at_most.add(_entering(x, v) + crossing, 0.0)
+                self._at_most.add(columns.entering(x, v) + crossing, 0.0)
                 added += 1
         return added
 
@@ -255,14 +268,6 @@ def _behind_minimum_cut(graph: csr_array, start: int, v: int) -> frozenset[int]:
     left.eliminate_zeros()
     reached = breadth_first_order(left, start, return_predecessors=False)
     return frozenset(range(graph.shape[0])) - {int(node) for node in reached}
-
-
-def _entering(columns: dict[Arc, int], v: int) -> Terms:
-    return [(column, 1.0) for (_, head), column in columns.items() if head == v]
-
-
-def _leaving(columns: dict[Arc, int], v: int) -> Terms:
-    return [(column, 1.0) for (tail, _), column in columns.items() if tail == v]
 
 
 def _at(columns: dict[int, int], v: int) -> list[int]:

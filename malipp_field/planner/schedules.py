@@ -8,6 +8,7 @@ picked beyond what is dropped need not be picked, so exchanges are capabilities:
 from __future__ import annotations
 
 from dataclasses import dataclass
+from hashlib import sha256
 
 import numpy as np
 from numpy.typing import NDArray
@@ -205,14 +206,19 @@ class Robot:
 def robots_of(problem: Problem) -> list[Robot]:
     """Return the team in the terms of the labelling."""
     robots = [_robot(problem, r) for r in range(len(problem.robots))]
-    for robot in robots:
-        robot.twins = tuple(o for o, other in enumerate(robots) if _alike(robot, other))
+    alike: dict[tuple[object, ...], list[int]] = {}
+    prints = [_fingerprint(robot) for robot in robots]
+    for r, fingerprint in enumerate(prints):
+        alike.setdefault(fingerprint, []).append(r)
+    for robot, fingerprint in zip(robots, prints, strict=True):
+        robot.twins = tuple(alike[fingerprint])
     return robots
 
 
-def _alike(one: Robot, other: Robot) -> bool:
-    same = (np.array_equal(np.asarray(a), np.asarray(b)) for a, b in zip(one.actor, other.actor, strict=True))
-    return (one.places, one.precision) == (other.places, other.precision) and all(same)
+def _fingerprint(robot: Robot) -> tuple[object, ...]:
+    """Return what is the same for robots that could stand in for each other; arrays as their digests."""
+    parts = (sha256(np.asarray(part).tobytes()).digest() for part in robot.actor)
+    return robot.places, robot.precision, *parts
 
 
 def _robot(problem: Problem, r: int) -> Robot:

@@ -6,12 +6,13 @@ hand over. Samples left lying when the plan begins are first shared out, as chea
 them without handing over.
 
 Each robot's problem is cut down to the nodes in its reach. Its plan is exact where all it could do can be
-listed (`malipp_field.planner.alone`). Where that is too much, some thousand iterations of ruin and recreate
-(`malipp_field.planner.focus`, along its route) stand in for a proof: on large sites the baseline is a good
-one, not the exact one. A plan is kept from step to step while nothing was secured that its robot could tell
-anything about, up to a covariance of 1e-5. What a robot gains can hardly grow by what others secure, so
-robots whose plans are not proven are planned anew only while one of them seems to gain most. When time is up,
-robots not yet committed follow the plans they have.
+listed (`malipp_field.planner.alone`) in a part of the time, with so many schedules for the whole team. Where
+that is too much, some thousand iterations of ruin and recreate (`malipp_field.planner.focus`, along its
+route) stand in for a proof: on large sites the baseline is a good one, not the exact one, and its progress
+says so. A plan is kept from step to step while nothing was secured that its robot could tell anything about, up to a
+covariance of 1e-5. What a robot gains can hardly grow by what others secure, so robots whose plans are not
+proven, and all of them once time gets short, are planned anew only while one of them seems to gain most. When
+time is up, robots not yet committed follow the plans they have.
 """
 
 from __future__ import annotations
@@ -22,23 +23,29 @@ from itertools import islice
 
 import numpy as np
 
-from malipp_field.field import FloatArray, Information
+from malipp_field.field import Information
 from malipp_field.planner.alone import Options, options_of, plan_alone
-from malipp_field.planner.closure import Closure
 from malipp_field.planner.exact import solve_exact
 from malipp_field.planner.extract import Route, TeamPlan, read_routes, team_plan
 from malipp_field.planner.focus import Focus
 from malipp_field.planner.focus_slice import given, sliced
+from malipp_field.planner.linear import Effort
 from malipp_field.planner.milp import TeamModel
-from malipp_field.planner.problem import IntArray, Problem, prune
+from malipp_field.planner.problem import IntArray, Problem, RobotView, prune
 from malipp_field.planner.progress import Search
-from malipp_field.planner.schedules import MOST_PLACES, robots_of
+from malipp_field.planner.schedules import MOST_PLACES
 from malipp_field.planner.stages import least_makespan
 
 _ROUNDS = 6
 """Coolings, each up to twice as long as the one before, where schedules cannot be listed."""
 _PLANS = 4
 """How often each robot is planned, about: it is given its part of the time left for so many."""
+_LISTING_SHARE = 0.25
+"""Part of the time for listing what robots can do; those not listed by then are searched."""
+_MOST_CODES = 50_000_000
+"""Operation codes of all that is listed, two bytes each and about as much again for working out J."""
+_EAGER_SHARE = 0.6
+"""Part of the time in which all listed robots are planned anew at every step; later, who promises most."""
 _STRANGERS = 1e-5
 """Covariance, as a share of the largest variance, up to which two candidates count as unrelated."""
 
@@ -49,17 +56,17 @@ class _Robot:
 
     Attributes
     ----------
-    problem : Problem
-        Over the nodes in its reach, with its share of the stock, but without J.
+    alone : Problem
+        The whole problem with this robot only, and its share of the stock.
     nodes : array
-        These nodes, as the whole problem numbers them.
+        Those in its reach, as the whole problem numbers them.
     positions : array
         The candidates among them, as positions in V.
     gain
         By how much its plan lowers J, when it was made.
     """
 
-    problem: Problem
+    alone: Problem
     nodes: IntArray
     positions: IntArray
     options: Options | None
@@ -72,10 +79,14 @@ class _Robot:
         """Return what robots are ranked by, the least first: how much their plans lower J, then the rest."""
         return (-math.inf, (0.0, 0.0, 0.0)) if self.plan is None else (-self.gain, self.plan.rank)
 
-    def informed(self, information: Information, precision: FloatArray) -> Problem:
-        """Return its problem with J given the precision secured; kept for all robots at once it is large."""
-        own = given(information, precision, self.positions)
-        return replace(self.problem, information=own, gained=np.zeros(len(self.positions)))
+    def informed(self, known: Information) -> Problem:
+        """Return its problem over its nodes, J given all that is ``known``.
+
+        Made anew each time: kept for all robots, closures and covariances of large sites take gigabytes.
+        """
+        own = np.ix_(self.positions, self.positions)
+        information = Information(known.k_vv[own], known.k_tv[:, self.positions], known.k_tt, known.weights)
+        return sliced(self.alone, [0], self.nodes, information)
 
     def route(self, plan: TeamPlan) -> Route:
         """Return the route of a plan in the whole problem's nodes."""
@@ -87,64 +98,82 @@ def solve_sequential(problem: Problem, search: Search) -> TeamPlan | None:
     shares = share_stock(problem, search)
     if shares is None:
         return None
-    robots = _robots(problem, shares)
+    robots = _robots(problem, shares, search.share(_LISTING_SHARE).effort)
+    eager = search.share(_EAGER_SHARE).effort
+    listed = all(robot.options is not None for robot in robots)
+    stage = "sequential" if listed else "sequential, some robots searched"
     routes: dict[int, Route] = {}
-    precision = problem.gained.copy()
+    everywhere, precision = np.arange(len(problem.candidates)), problem.gained.copy()
+    known = given(problem.information, precision, everywhere)
+    strangers = _STRANGERS * np.diag(problem.information.k_vv).max(initial=0.0)
     while len(routes) < len(robots):
         free = [r for r in range(len(robots)) if r not in routes]
-        best = _first(problem, robots, free, precision, search)
+        best = _first(robots, free, known, search, eager)
         if best is None:
             return None
         chosen, plan = robots[best], robots[best].plan
         assert plan is not None
         if chosen.options is not None and not search.effort.over:
-            own = chosen.informed(problem.information, precision)
-            plan, _ = least_makespan(own, search.share(0.5 / len(free)), plan)
+            plan, _ = least_makespan(chosen.informed(known), search.share(0.5 / len(free)), plan)
         routes[best] = chosen.route(plan)
         secured = np.zeros_like(precision)
         secured[chosen.positions] = plan.precision
-        _wake(problem, [robots[r] for r in free], precision, np.flatnonzero(secured))
+        _wake([robots[r] for r in free], known, np.flatnonzero(secured), strangers)
+        known = given(known, secured, everywhere)
         precision += secured
         told = replace(plan, information=problem.information.value(precision))
-        search.tell("sequential", told, None, len(routes))
+        search.tell(stage, told, None, len(routes))
     return team_plan(problem, tuple(routes[r] for r in range(len(robots))))
 
 
 def _first(
-    problem: Problem, robots: list[_Robot], free: list[int], precision: FloatArray, search: Search
+    robots: list[_Robot], free: list[int], known: Information, search: Search, eager: Effort
 ) -> int | None:
     """Return which robot is committed next, its plan up to date; None where one has no way at all."""
     share = 1.0 / (_PLANS * len(free))
+    for r in free:
+        robot = robots[r]
+        planned = robot.plan is not None
+        if planned and not (robot.stale and robot.options is not None and not eager.over):
+            continue
+        if not _plan(robot, known, search.share(share)):
+            return None
     while True:
         best = min(free, key=lambda r: robots[r].promise)
-        over = search.effort.over
-        stale = [r for r in free if robots[r].stale and not (over and robots[r].plan is not None)]
-        first = [r for r in stale if robots[r].options is not None or robots[r].plan is None]
-        if best not in stale and not first:
+        if not robots[best].stale or search.effort.over:
             return best
-        for r in first or [best]:
-            if not _plan(problem, robots[r], precision, search.share(share)):
-                return None
+        if not _plan(robots[best], known, search.share(share)):
+            return None
 
 
-def _robots(problem: Problem, shares: list[tuple[int, ...]]) -> list[_Robot]:
-    """Return every robot on its own; those that could stand in for each other are listed once."""
+def _robots(problem: Problem, shares: list[tuple[int, ...]], effort: Effort) -> list[_Robot]:
+    """Return every robot on its own, what it can do listed as far as time and memory allow.
+
+    What robots that could stand in for each other can do is listed once.
+    """
     position = {v: i for i, v in enumerate(problem.candidates)}
-    twins = [robot.twins for robot in robots_of(replace(problem, handoffs=False))]
     nothing = Information(np.zeros((0, 0)), np.zeros((0, 0)), np.zeros(0), np.zeros(0))
-    closures: dict[tuple[int, bytes], Closure] = {}
+    listed: dict[tuple[object, ...], Options | None] = {}
+    room = _MOST_CODES
     found: list[_Robot] = []
     for r, share in enumerate(shares):
         alone = _alone(problem, r, share)
-        nodes = np.array(sorted({*alone.robots[0].places, *alone.robots[0].depots}), dtype=np.int64)
+        view = alone.robots[0]
+        nodes = np.array(sorted({*view.places, *view.depots}), dtype=np.int64)
         positions = np.array([position[v] for v in nodes.tolist() if v in position], dtype=np.int64)
-        part = sliced(alone, [0], nodes, nothing)
-        ways = closures.setdefault((id(problem.robots[r].closure), nodes.tobytes()), part.robots[0].closure)
-        part = replace(part, robots=(replace(part.robots[0], closure=ways),))
-        twin = next((o for o in twins[r] if o < r and shares[o] == share), None)
-        options = options_of(part) if twin is None else found[twin].options
-        found.append(_Robot(part, nodes, positions, options))
+        kind = _kind(view, share)
+        if kind not in listed:
+            few = len(view.places) <= MOST_PLACES and room > 0 and not effort.over
+            options = listed[kind] = options_of(sliced(alone, [0], nodes, nothing)) if few else None
+            room -= 0 if options is None else options.codes.size
+        found.append(_Robot(alone, nodes, positions, listed[kind]))
     return found
+
+
+def _kind(view: RobotView, share: tuple[int, ...]) -> tuple[object, ...]:
+    """Return all that what a robot can do hangs on."""
+    ways = id(view.closure), view.start, view.stops, view.depots, view.limits.tobytes(), share
+    return *ways, view.empty_mass_kg, view.budget_j, view.capacity, view.on_board, view.precision
 
 
 def _alone(problem: Problem, r: int, fetches: tuple[int, ...]) -> Problem:
@@ -153,9 +182,9 @@ def _alone(problem: Problem, r: int, fetches: tuple[int, ...]) -> Problem:
     return prune(replace(problem, robots=(problem.robots[r],), stocks=stocks, handoffs=False))
 
 
-def _plan(problem: Problem, robot: _Robot, precision: FloatArray, search: Search) -> bool:
-    """Plan a robot against the precision secured; return whether it has a way at all."""
-    own = robot.informed(problem.information, precision)
+def _plan(robot: _Robot, known: Information, search: Search) -> bool:
+    """Plan a robot against what is known; return whether it has a way at all."""
+    own = robot.informed(known)
     if robot.options is not None:
         robot.plan = plan_alone(own, robot.options)
     else:
@@ -180,16 +209,11 @@ def _searched(problem: Problem, known: TeamPlan | None, search: Search) -> TeamP
     return solve_exact(problem, replace(search, on_progress=lambda _: None)).team
 
 
-def _wake(problem: Problem, robots: list[_Robot], precision: FloatArray, secured: IntArray) -> None:
-    """Mark the robots that could tell something about what has just been ``secured`` at candidates."""
-    known, k_vv = np.flatnonzero(precision > 0.0), problem.information.k_vv
-    root = np.sqrt(precision[known])
-    b = np.eye(known.size) + root[:, None] * k_vv[np.ix_(known, known)] * root
-    seen = np.linalg.solve(b, root[:, None] * k_vv[np.ix_(known, secured)])
-    related = np.abs(k_vv[:, secured] - (k_vv[:, known] * root) @ seen).max(axis=1, initial=0.0)
-    limit = _STRANGERS * np.diag(k_vv).max(initial=0.0)
+def _wake(robots: list[_Robot], known: Information, secured: IntArray, strangers: float) -> None:
+    """Mark the robots that could tell something about what is about to be ``secured`` at candidates."""
+    related = np.abs(known.k_vv[:, secured]).max(axis=1, initial=0.0)
     for robot in robots:
-        robot.stale = robot.stale or bool((related[robot.positions] > limit).any())
+        robot.stale = robot.stale or bool((related[robot.positions] > strangers).any())
 
 
 def share_stock(problem: Problem, search: Search) -> list[tuple[int, ...]] | None:

@@ -13,17 +13,22 @@ from malipp_field.mission import Mission, TeamState
 from malipp_field.mission.schema import Method
 from malipp_field.plan import Plan
 from malipp_field.plan.schema import Status
+from malipp_field.planner.bounds import is_relaxable, quick_bound
 from malipp_field.planner.choice import method_for
 from malipp_field.planner.extract import TeamPlan, Verdict, plan_file, team_plan
 from malipp_field.planner.feasibility import obstacle
 from malipp_field.planner.linear import Effort
-from malipp_field.planner.problem import Problem, build_problem, in_units
+from malipp_field.planner.problem import Problem, build_problem, in_units, prune
 from malipp_field.planner.progress import Progress, Result, Search, relative_gap
 from malipp_field.planner.verify import verify
 
 Engine = Callable[[Problem, Search, TeamPlan | None], Result]
 _RELAXATION_S = 10.0
 """Most seconds for the bound of a plan whose method has none."""
+_BOUND_SHARE = 0.05
+"""Of the time limit, kept back for that bound where the team is too large for the cone relaxation."""
+_BOUNDLESS = frozenset({"seq", "lns"})
+"""Methods that prove nothing themselves."""
 _SEQUENTIAL_SHARE = 0.1
 """Of the time limit, for the Seq-LIPP plan that the others begin with."""
 _SEQUENTIAL_SHARE_OF_MANY, _MANY = 0.25, 16
@@ -134,14 +139,18 @@ def solve(
 
 
 def _solve(request: Request) -> Plan:
-    problem = build_problem(request.mission, request.state, handoffs=request.handoffs, closed=request.closed)
+    one_by_one = request.method == "seq"
+    whole = build_problem(
+        request.mission, request.state, handoffs=request.handoffs or one_by_one, closed=request.closed
+    )
+    problem = prune(replace(whole, handoffs=False)) if one_by_one else whole
     index = {node: i for i, node in enumerate(problem.nodes)}
     depots = {r.id: tuple(index[d] for d in r.depots) for r in request.mission.team.robots}
     reason = obstacle(problem, depots)
     if reason:
         return _no_routes(request, "infeasible", reason)
-    if request.method == "seq":
-        return _sequential(request, problem)
+    if one_by_one:
+        return _sequential(request, problem, whole)
     if request.warm_start is None:
         return _exact(request, problem, None)
     return _replan(request, problem, request.warm_start)
@@ -159,19 +168,32 @@ def _replan(request: Request, problem: Problem, advice: Plan) -> Plan:
     return _exact(request, problem, first.team)
 
 
-def _sequential(request: Request, problem: Problem) -> Plan:
-    team = _one_by_one(problem, request.search)
+def _sequential(request: Request, problem: Problem, whole: Problem) -> Plan:
+    """Plan without handoffs; the bound is over ``whole``, with them: nobody asked for a plan without."""
+    team = _one_by_one(problem, _before_bound(request, whole))
     if team is None:
         return _no_routes(
             request, "no_plan", "robots planned one by one found no plan that brings all samples home"
         )
-    bound = min(_relaxed(request), team.information)
+    bound = min(_relaxed(request, whole), team.information)
     gap = relative_gap(team.information, bound)
     return plan_file(request.mission.name, problem, team, _verdict(request, "feasible", bound, gap))
 
 
-def _relaxed(request: Request) -> float:
-    """Return the bound of the cone relaxation: Seq-LIPP and the LNS themselves prove nothing."""
+def _before_bound(request: Request, problem: Problem) -> Search:
+    """Return the search with what `_relaxed` takes left out, where that has to be short."""
+    if request.method not in _BOUNDLESS or is_relaxable(problem):
+        return request.search
+    return request.search.share(1.0 - _BOUND_SHARE)
+
+
+def _relaxed(request: Request, problem: Problem) -> float:
+    """Return a bound for a method that proves nothing itself.
+
+    That of the cone relaxation, or for large teams, of which that takes minutes and gigabytes, the quick one.
+    """
+    if not is_relaxable(problem):
+        return quick_bound(problem, request.search.effort)
     from malipp_field.planner.relaxation import relaxation_bound
 
     left_s = min(_RELAXATION_S, request.search.effort.left_s)
@@ -179,7 +201,7 @@ def _relaxed(request: Request) -> float:
 
 
 def _exact(request: Request, problem: Problem, start: TeamPlan | None) -> Plan:
-    search = request.search
+    search = _before_bound(request, problem)
     enough = search.effort.left_s >= _SEQUENTIAL_FROM_S and search.work is None
     if start is None and request.method in {"auto", "fast"} and enough:
         share = _SEQUENTIAL_SHARE if len(problem.robots) <= _MANY else _SEQUENTIAL_SHARE_OF_MANY
@@ -189,7 +211,7 @@ def _exact(request: Request, problem: Problem, start: TeamPlan | None) -> Plan:
         return _impossible(request)
     if result.team is None:
         return _no_routes(request, "no_plan", _NO_FIRST_PLAN)
-    bound = _relaxed(request) if request.method == "lns" else result.bound
+    bound = _relaxed(request, problem) if request.method in _BOUNDLESS else result.bound
     gap = relative_gap(result.team.information, bound)
     status: Status = "optimal" if result.proven else "feasible"
     bound = min(bound, result.team.information)
