@@ -9,10 +9,10 @@ Each robot's problem is cut down to the nodes in its reach. Its plan is exact wh
 listed (`malipp_field.planner.alone`) in a part of the time, with so many schedules for the whole team. Where
 that is too much, some thousand iterations of ruin and recreate (`malipp_field.planner.focus`, along its
 route) stand in for a proof: on large sites the baseline is a good one, not the exact one, and its progress
-says so. A plan is kept from step to step while nothing was secured that its robot could tell anything about, up to a
-covariance of 1e-5. What a robot gains can hardly grow by what others secure, so robots whose plans are not
-proven, and all of them once time gets short, are planned anew only while one of them seems to gain most. When
-time is up, robots not yet committed follow the plans they have.
+says so. A plan is kept from step to step while nothing was secured that its robot could tell anything about,
+up to a covariance of 1e-5. What a robot gains can hardly grow by what others secure, so robots whose plans
+are not proven, and all of them once time gets short, are planned anew only while one of them seems to gain
+most. When time is up, robots not yet committed follow the plans they have.
 """
 
 from __future__ import annotations
