@@ -46,6 +46,8 @@ _MOST_CODES = 50_000_000
 """Operation codes of all that is listed, two bytes each and about as much again for working out J."""
 _EAGER_SHARE = 0.6
 """Part of the time in which all listed robots are planned anew at every step; later, who promises most."""
+_MOST_NODES = 500
+"""Nodes of a robot's problem, and what it must visit: of a large site those nearest to it and its depots."""
 _STRANGERS = 1e-5
 """Covariance, as a share of the largest variance, up to which two candidates count as unrelated."""
 
@@ -159,7 +161,7 @@ def _robots(problem: Problem, shares: list[tuple[int, ...]], effort: Effort) -> 
     for r, share in enumerate(shares):
         alone = _alone(problem, r, share)
         view = alone.robots[0]
-        nodes = np.array(sorted({*view.places, *view.depots}), dtype=np.int64)
+        nodes = _nodes(alone)
         positions = np.array([position[v] for v in nodes.tolist() if v in position], dtype=np.int64)
         kind = _kind(view, share)
         if kind not in listed:
@@ -168,6 +170,18 @@ def _robots(problem: Problem, shares: list[tuple[int, ...]], effort: Effort) -> 
             room -= 0 if options is None else options.codes.size
         found.append(_Robot(alone, nodes, positions, listed[kind]))
     return found
+
+
+def _nodes(alone: Problem) -> IntArray:
+    """Return the nodes that a robot may need; of very many those that take it the least way to a depot."""
+    view = alone.robots[0]
+    must = {view.start, *view.depots, *(stock.node for stock in alone.stocks if stock.count)}
+    places = np.array([v for v in view.stops if v not in must], dtype=np.int64)
+    if len(places) > _MOST_NODES:
+        cost = view.closure.energy_per_kg
+        way = cost[view.start, places] + cost[:, list(view.depots)].min(axis=1)[places]
+        places = places[np.argsort(way, kind="stable")[:_MOST_NODES]]
+    return np.array(sorted({*must, *places.tolist()}), dtype=np.int64)
 
 
 def _kind(view: RobotView, share: tuple[int, ...]) -> tuple[object, ...]:

@@ -31,7 +31,7 @@ _BOUNDLESS = frozenset({"seq", "lns"})
 """Methods that prove nothing themselves."""
 _SEQUENTIAL_SHARE = 0.1
 """Of the time limit, for the Seq-LIPP plan that the others begin with."""
-_SEQUENTIAL_SHARE_OF_MANY, _MANY = 0.25, 16
+_SEQUENTIAL_SHARE_OF_MANY, _MANY = 0.4, 16
 """Of a team of more robots than this, whose Seq-LIPP plan takes longer and is worth more: groups of a few
 robots at a time are slow to reach it from nothing."""
 _SEQUENTIAL_FROM_S = 20.0

@@ -95,6 +95,28 @@ def test_robots_with_other_shares_of_the_stock_are_listed_apart(calls: dict[str,
         assert calls["options_of"] >= max(len(views), len(set(shares)))
 
 
+def test_on_large_sites_a_robot_looks_at_what_is_least_out_of_its_way(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(sequential, "_MOST_NODES", 3)
+    mission = build(Specification(3, 12), 60.0)
+    problem = build_problem(mission, handoffs=False)
+    (robot, *_) = robots = sequential._robots(problem, [()] * 3, search().effort)
+    assert all(len(one.positions) == 3 for one in robots)
+    view = problem.robots[0]
+    cost = view.closure.energy_per_kg
+    way = [float(cost[view.start, v] + min(cost[v, d] for d in view.depots)) for v in problem.candidates]
+    assert set(robot.positions.tolist()) == {way.index(one) for one in sorted(way)[:3]}
+    monkeypatch.setattr(sequential, "_MOST_NODES", 1)
+    planned = 0
+    for seed in range(700, 704):
+        mission = tiny_mission(seed, robots=3, candidates=5, energy_budget_j=40.0)
+        state = part_way(mission, seed)
+        plan = solve(mission, state=state, method="seq")
+        planned += bool(plan.robots) and not verify(mission, plan, state)
+    assert planned >= 2
+
+
 def test_once_time_gets_short_only_who_promises_most_is_planned_anew(
     calls: dict[str, int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
