@@ -95,7 +95,7 @@ def test_robots_with_other_shares_of_the_stock_are_listed_apart(calls: dict[str,
         assert calls["options_of"] >= max(len(views), len(set(shares)))
 
 
-def test_on_large_sites_a_robot_looks_at_what_is_least_out_of_its_way(
+def test_on_large_sites_a_robot_looks_at_what_is_nearest(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(sequential, "_MOST_NODES", 3)
