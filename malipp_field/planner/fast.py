@@ -34,6 +34,8 @@ _BOUND_SHARE, _LEAST_BOUND_S = 0.1, 1.0
 """Part of the time for a first bound, which has none where there is less than so many seconds in all."""
 _MOST_TOGETHER = 16
 """Robots that are searched all together; of larger teams groups of neighbours are, in turn."""
+_MOST_PAIRS = 40_000
+"""And so many pairs of places, of all robots: with 110 000 a few iterations may take a minute."""
 
 
 def solve_fast(problem: Problem, search: Search, start: TeamPlan | None = None) -> Result:
@@ -79,7 +81,8 @@ def _listable(problem: Problem) -> bool:
 
 def _searcher(problem: Problem, search: Search) -> Walks | Focus:
     many = search.threads or cores()
-    if len(problem.robots) <= _MOST_TOGETHER:
+    pairs = sum(len(robot.places) ** 2 for robot in problem.robots)
+    if len(problem.robots) <= _MOST_TOGETHER and pairs <= _MOST_PAIRS:
         return Walks(problem, search.seed, many)
     return Focus(problem, search.seed, many)
 

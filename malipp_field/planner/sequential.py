@@ -40,7 +40,7 @@ _ROUNDS = 6
 """Coolings, each up to twice as long as the one before, where schedules cannot be listed."""
 _PLANS = 4
 """How often each robot is planned, about: it is given its part of the time left for so many."""
-_LISTING_SHARE = 0.25
+_LISTING_SHARE = 0.5
 """Part of the time for listing what robots can do; those not listed by then are searched."""
 _MOST_CODES = 50_000_000
 """Operation codes of all that is listed, two bytes each and about as much again for working out J."""

@@ -10,13 +10,15 @@ from team_cases import alike, search
 
 from malipp_field.bench.instances import Specification, build
 from malipp_field.mission import Mission
-from malipp_field.planner import bounds, relaxation, sequential, solve, verify
+from malipp_field.planner import bounds, fast, relaxation, sequential, solve, verify
 from malipp_field.planner.bounds import is_relaxable
+from malipp_field.planner.focus import Focus
 from malipp_field.planner.problem import Problem, build_problem
 from malipp_field.planner.progress import Progress
 from malipp_field.planner.relaxation import relaxed_values
 from malipp_field.planner.schedules import robots_of
 from malipp_field.planner.sequential import solve_sequential
+from malipp_field.planner.walks import Walks
 
 SOME_SEARCHED = "sequential, some robots searched"
 
@@ -142,6 +144,12 @@ def test_large_teams_get_the_quick_bound_and_no_cone_program(monkeypatch: pytest
     assert plan.objective is not None
     assert plan.bound.information is not None
     assert 0.0 <= plan.bound.information < plan.objective.information
+
+
+def test_few_robots_with_very_many_places_are_searched_in_groups() -> None:
+    wide, narrow = build(Specification(10, 100), 280.0), build(Specification(12, 45), 60.0)
+    assert isinstance(fast._searcher(build_problem(wide), search()), Focus)
+    assert isinstance(fast._searcher(build_problem(narrow), search()), Walks)
 
 
 def test_the_quick_bound_of_seq_holds_for_plans_with_handoffs(monkeypatch: pytest.MonkeyPatch) -> None:
