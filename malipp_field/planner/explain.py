@@ -9,7 +9,7 @@ equal share of the time that is left. What "binds" is defined by that, not by wh
 - else the question is *open*: a search ended before its proof.
 
 Of plans that are not proven themselves the multipliers of the relaxation are given as well
-(`malipp_field.planner.relaxation.relaxed_values`): they cost one cone program, and are left out of large teams.
+(`malipp_field.planner.relaxation.relaxed_values`): they cost one cone program; large teams go without.
 """
 
 from __future__ import annotations
