@@ -109,10 +109,10 @@ class Member:
 
     async def rewind(self) -> None:
         """Make the first item current: a vehicle that had got further would go on in the middle."""
-        if self._index > 1:
+        items = self.wanted[MissionType.MISSION]
+        if self._index > 1 and len(items) > 1:  # one that stays has nothing that could be current
             self.state = "unknown"  # the mission is the new one, but where it would begin is not
             self._touched.add(MissionType.MISSION)
-            items = self.wanted[MissionType.MISSION]
             await self.driver.point_at(1, _first_lasting(items))
             self.state = "wanted"
 

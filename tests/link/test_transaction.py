@@ -65,6 +65,16 @@ def test_a_vehicle_that_had_got_further_begins_anew() -> None:
     Field().run(scene)
 
 
+def test_a_vehicle_that_had_got_further_and_now_stays_is_emptied() -> None:
+    async def scene(field: Field) -> None:
+        for radio in field.radios.values():
+            assert radio.rover.autopilot.run.set_current(3)
+        assert await field.carry_out(field.transaction(wanted={MISSION: NEW[:1]})), field.said
+        assert all(len(radio.rover.autopilot.store.items) <= 1 for radio in field.radios.values())
+
+    Field().run(scene)
+
+
 @pytest.mark.parametrize("hold", [False, True])
 def test_a_vehicle_that_drives_is_refused_or_held(hold: bool) -> None:
     async def scene(field: Field) -> None:
