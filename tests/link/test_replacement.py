@@ -83,6 +83,23 @@ def test_a_vehicle_that_hears_somebody_else_of_our_system_id_is_held() -> None:
     GuardedYard(**GUARDED).run(scene)  # type: ignore[arg-type]
 
 
+def test_a_leg_that_has_another_number_in_the_new_mission_is_held() -> None:
+    async def scene(yard: GuardedYard) -> None:
+        await under_way(yard)
+        await yard.until(lambda: yard.telemetry.step_uid == "drive b", limit_s=700.0)
+        await yard.live(8.0)
+        began_s = yard.clock.now_s()
+        new = yard.new()
+        new = new.model_copy(update={"steps": (yard.old().steps[2], *new.steps[2:])})
+        reply = await yard.order(Load(mission=new, resume=True))
+        assert reply.text == "version 2 is on board and verified"
+        assert held_since(yard, began_s)
+
+    yard = GuardedYard(seed=1, **GUARDED)
+    yard.aboard = lambda: ("any",)  # type: ignore[method-assign]
+    yard.run(scene)
+
+
 def test_near_the_end_of_its_leg_it_is_held() -> None:
     async def scene(yard: GuardedYard) -> None:
         await under_way(yard)
