@@ -28,11 +28,11 @@ from malipp_field.bench.script import ended
 from malipp_field.mission import Mission, TeamState
 from malipp_field.plan import Plan, advance, rest_of
 from malipp_field.planner import solve, verify
+from malipp_field.planner.exact.stages import plan_of_precision
 from malipp_field.planner.extract import Verdict, payloads, plan_file, routes_of, team_plan
 from malipp_field.planner.linear import Effort
 from malipp_field.planner.problem import build_problem
 from malipp_field.planner.progress import Search
-from malipp_field.planner.stages import plan_of_precision
 
 ROOT = Path(__file__).resolve().parent
 CANDIDATES, BUDGET_J = 45, 30.0

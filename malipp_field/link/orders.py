@@ -142,11 +142,9 @@ class Orders:
         if leg is None or leg.action is not Action.DRIVE or item is None:
             return False
         layout = lay_out(mission)
-        if mission.steps[layout.steps[item]] != leg:
-            return False
         # A Rover that sees the next items change in AUTO begins the item of the current number anew, as it is
         # stored then (AP_Mission_ChangeDetector): that must be this leg all the time.
-        if item != vehicle.current_seq:
+        if mission.steps[layout.steps[item]] != leg or item != vehicle.current_seq:
             return False
         try:
             deadline_s = await safe_until_s(self._driver, leg.place, len(layout.items))

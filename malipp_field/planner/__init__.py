@@ -3,6 +3,6 @@
 from malipp_field.planner.choice import method_for
 from malipp_field.planner.progress import Progress
 from malipp_field.planner.solve import solve
-from malipp_field.planner.verify import Violation, check, verify
+from malipp_field.planner.verifier.rules import Violation, check, verify
 
 __all__ = ["Progress", "Violation", "check", "method_for", "solve", "verify"]

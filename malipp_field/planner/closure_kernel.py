@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from malipp_field.field import FloatArray
-from malipp_field.planner.search_compile import stored
+from malipp_field.planner.kernels import stored
 
 _NOWHERE = -1
 

@@ -9,7 +9,7 @@ equal share of the time that is left. What "binds" is defined by that, not by wh
 - else the question is *open*: a search ended before its proof.
 
 Of plans that are not proven themselves the multipliers of the relaxation are given as well
-(`malipp_field.planner.relaxation.relaxed_values`): they cost one cone program; large teams go without.
+(`relaxed_values`): they cost one cone program; large teams go without.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from typing import Any, Protocol
 from malipp_field.errors import PlanError
 from malipp_field.mission import Mission, TeamState, initial_state
 from malipp_field.plan import Plan
+from malipp_field.planner.bounds.relaxation import RelaxedValue, relaxed_values
 from malipp_field.planner.explanation import DropPlace, Explanation, Kind, Place, Resource, Trial, Verdict
-from malipp_field.planner.relaxation import RelaxedValue, relaxed_values
 from malipp_field.planner.solve import solve as plan_mission
 from malipp_field.planner.usage import drops_by_node, left_out, usage
 

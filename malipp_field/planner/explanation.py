@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
-from malipp_field.planner.relaxation import RelaxedValue
+from malipp_field.planner.bounds.relaxation import RelaxedValue
 
 Kind = Literal["energy", "room", "slots"]
 """Joules of B_r, samples of K_r, samples of S_r^max at every node."""

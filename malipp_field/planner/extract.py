@@ -12,7 +12,7 @@ import numpy as np
 from malipp_field.field import FloatArray
 from malipp_field.plan import Bound, Objective, Plan, RobotPlan, Stop
 from malipp_field.plan.schema import Status
-from malipp_field.planner.milp import TeamModel
+from malipp_field.planner.exact.milp import TeamModel
 from malipp_field.planner.problem import Problem, RobotView, within
 
 

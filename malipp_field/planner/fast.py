@@ -9,17 +9,17 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from malipp_field.planner.bounds import quick_bound
+from malipp_field.planner.bounds.quick import quick_bound
 from malipp_field.planner.choice import is_small
-from malipp_field.planner.exact import solve_exact
+from malipp_field.planner.exact.lexicographic import solve_exact
+from malipp_field.planner.exact.schedules import MOST_PLACES
 from malipp_field.planner.extract import TeamPlan
-from malipp_field.planner.focus import Focus
-from malipp_field.planner.polish import polished
 from malipp_field.planner.problem import Problem
 from malipp_field.planner.progress import Result, Search
 from malipp_field.planner.repair import first_plan, settled
-from malipp_field.planner.schedules import MOST_PLACES
-from malipp_field.planner.walks import Walks, cores
+from malipp_field.planner.search.focus import Focus
+from malipp_field.planner.search.polish import polished
+from malipp_field.planner.search.walks import Walks, cores
 
 _SEARCH_SHARE, _ALL_SHARE = 0.5, 0.95
 """Part of the time for finding plans, where the exact search will hardly settle the question; and the same

@@ -1,14 +1,16 @@
-"""Compiled functions kept on disk: loaded without numba's preparations to compile, compiled with a notice."""
+"""How functions are compiled and kept on disk: loaded quickly, compiled with a notice."""
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeVar, cast
 
 import numba
 from numba.core.caching import FunctionCache
 from numba.core.runtime import rtsys
+
+_F = TypeVar("_F", bound=Callable[..., object])
 
 _NOTICE = "compiling the planner's inner loops once, about a minute ..."
 
@@ -51,3 +53,19 @@ def _tell() -> None:
     if not _told:
         _told = True
         print(_NOTICE, file=sys.stderr, flush=True)
+
+
+def compiled(function: _F) -> _F:
+    """Compile a function that only compiled functions call, without wrappers for Python."""
+    make = njit(error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+    return cast("_F", make(function))
+
+
+def spliced(function: _F) -> _F:
+    """Make a function a part of whatever calls it: every level of calls is optimised anew by LLVM."""
+    return cast("_F", njit(error_model="numpy", inline="always")(function))
+
+
+def stored(function: _F) -> _F:
+    """Compile a function that Python calls, and keep the result on disk; other threads run meanwhile."""
+    return cast("_F", njit(error_model="numpy", cache=True, nogil=True)(function))

@@ -20,14 +20,14 @@ from dataclasses import replace
 
 from malipp_field.plan import Plan
 from malipp_field.planner.draft import COLLECTED, ON_BOARD, Draft, Sample, handlers
+from malipp_field.planner.exact.stages import plan_of_precision
 from malipp_field.planner.extract import TeamPlan, team_plan
 from malipp_field.planner.follow import followed
-from malipp_field.planner.improve import Improver
 from malipp_field.planner.problem import Problem, within
 from malipp_field.planner.progress import Result, Search
-from malipp_field.planner.search_kernel import Kernel
-from malipp_field.planner.search_state import LEAST_HOPS, case_of, load, most_samples, unloaded
-from malipp_field.planner.stages import plan_of_precision
+from malipp_field.planner.search.improver import Improver
+from malipp_field.planner.search.kernel import Kernel
+from malipp_field.planner.search.state import LEAST_HOPS, case_of, load, most_samples, unloaded
 
 _ATTEMPTS = 60
 """Attempts to bring home what has no way home, the last of them with nothing left of the old plan."""

@@ -21,12 +21,12 @@ import numpy as np
 
 from malipp_field.field import FloatArray
 from malipp_field.mission import Mission, TeamState, initial_state
+from malipp_field.planner.exact.milp import TeamModel
+from malipp_field.planner.exact.timing import add_timing, horizon_s
 from malipp_field.planner.extract import Route, leg_energies, read_routes, team_plan
 from malipp_field.planner.linear import Outcome
-from malipp_field.planner.milp import TeamModel
 from malipp_field.planner.problem import Problem, RobotView, build_problem, prune
 from malipp_field.planner.progress import Search
-from malipp_field.planner.timing import add_timing, horizon_s
 
 _LEAST_S = 0.5
 """Seconds for the question even where the proof has used up the time limit."""

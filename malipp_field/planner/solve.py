@@ -13,14 +13,14 @@ from malipp_field.mission import Mission, TeamState
 from malipp_field.mission.schema import Method
 from malipp_field.plan import Plan
 from malipp_field.plan.schema import Status
-from malipp_field.planner.bounds import is_relaxable, quick_bound
+from malipp_field.planner.bounds.quick import is_relaxable, quick_bound
 from malipp_field.planner.choice import method_for
 from malipp_field.planner.extract import TeamPlan, Verdict, plan_file, team_plan
 from malipp_field.planner.feasibility import obstacle
 from malipp_field.planner.linear import Effort
 from malipp_field.planner.problem import Problem, build_problem, in_units, prune
 from malipp_field.planner.progress import Progress, Result, Search, relative_gap
-from malipp_field.planner.verify import verify
+from malipp_field.planner.verifier.rules import verify
 
 Engine = Callable[[Problem, Search, TeamPlan | None], Result]
 _RELAXATION_S = 10.0
@@ -194,7 +194,7 @@ def _relaxed(request: Request, problem: Problem) -> float:
     """
     if not is_relaxable(problem):
         return quick_bound(problem, request.search.effort)
-    from malipp_field.planner.relaxation import relaxation_bound
+    from malipp_field.planner.bounds.relaxation import relaxation_bound
 
     left_s = min(_RELAXATION_S, request.search.effort.left_s)
     return relaxation_bound(request.mission, request.state, left_s)
@@ -228,7 +228,7 @@ def _impossible(request: Request) -> Plan:
 
 
 def _one_by_one(problem: Problem, search: Search) -> TeamPlan | None:
-    from malipp_field.planner.sequential import solve_sequential
+    from malipp_field.planner.paper.sequential import solve_sequential
 
     def engine(problem: Problem, search: Search, _: TeamPlan | None) -> Result:
         return Result(solve_sequential(problem, search), 0.0, proven=False)
@@ -247,12 +247,12 @@ def _run(engine: Engine, problem: Problem, search: Search, start: TeamPlan | Non
 
 def _engine(method: Method) -> Engine:
     if method == "miqp":
-        from malipp_field.planner.literal import solve_literal
+        from malipp_field.planner.paper.literal import solve_literal
 
         return solve_literal
-    from malipp_field.planner.exact import solve_arcs, solve_exact
+    from malipp_field.planner.exact.lexicographic import solve_arcs, solve_exact
     from malipp_field.planner.fast import solve_fast
-    from malipp_field.planner.lns import solve_lns
+    from malipp_field.planner.paper.lns import solve_lns
 
     engines: dict[str, Engine] = {
         "arcs": solve_arcs, "auto": solve_fast, "fast": solve_fast, "lns": solve_lns

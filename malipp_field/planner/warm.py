@@ -10,8 +10,8 @@ import numpy as np
 
 from malipp_field.mission import Mission
 from malipp_field.planner.closure_kernel import cheapest_ways
+from malipp_field.planner.exact.schedules import robots_of
 from malipp_field.planner.problem import build_problem
-from malipp_field.planner.schedules import robots_of
 from malipp_field.planner.solve import solve
 
 _LIMIT_S = 600.0

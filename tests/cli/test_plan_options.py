@@ -18,8 +18,8 @@ from malipp_field.cli.plan import Method
 from malipp_field.mission.schema import Method as SchemaMethod
 from malipp_field.plan import read_plan
 from malipp_field.planner import Progress
+from malipp_field.planner.bounds.relaxation import RelaxedValue
 from malipp_field.planner.explanation import DropPlace, Explanation, Place, Resource, Trial, Usage
-from malipp_field.planner.relaxation import RelaxedValue
 
 MISSIONS = Path(__file__).parents[2] / "missions"
 

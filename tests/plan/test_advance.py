@@ -10,9 +10,9 @@ from malipp_field.bench.instances import Specification, build
 from malipp_field.mission import Mission, initial_state
 from malipp_field.plan import Plan, advance, rest_of
 from malipp_field.planner.extract import Verdict, plan_file
-from malipp_field.planner.improve import Improver
 from malipp_field.planner.linear import Effort
 from malipp_field.planner.problem import build_problem
+from malipp_field.planner.search.improver import Improver
 
 
 @pytest.fixture(scope="module")

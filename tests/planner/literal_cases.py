@@ -8,8 +8,8 @@ import numpy as np
 
 from malipp_field.mission import Mission
 from malipp_field.planner.extract import Route, TeamPlan, Visit, earliest_departures
-from malipp_field.planner.literal import LiteralModel
-from malipp_field.planner.literal_plan import assign
+from malipp_field.planner.paper.literal import LiteralModel
+from malipp_field.planner.paper.literal_plan import assign
 from malipp_field.planner.problem import Problem, build_problem
 
 A, B, C, D, E = range(5)

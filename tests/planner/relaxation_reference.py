@@ -6,7 +6,7 @@ import cvxpy as cp
 import numpy as np
 
 from malipp_field.field import FloatArray
-from malipp_field.planner.relaxation_rows import Polytope
+from malipp_field.planner.bounds.relaxation_rows import Polytope
 
 
 def relaxed_optimum(polytope: Polytope, most: FloatArray) -> tuple[float, FloatArray]:

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from malipp_field.planner.labels import Actor
+from malipp_field.planner.exact.labels import Actor
 
 FloatArray = NDArray[np.float64]
 Vector = tuple[int, ...]

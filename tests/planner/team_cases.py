@@ -11,14 +11,14 @@ from random_missions import tiny_mission
 
 from malipp_field.mission import Mission, TeamState
 from malipp_field.plan import Plan
-from malipp_field.planner.columns import Branch, Point
+from malipp_field.planner.exact.columns import Branch, Point
+from malipp_field.planner.exact.master import Master
+from malipp_field.planner.exact.realise import realise
+from malipp_field.planner.exact.schedules import Codes, Robot, robots_of
 from malipp_field.planner.extract import TeamPlan
 from malipp_field.planner.linear import Effort
-from malipp_field.planner.master import Master
 from malipp_field.planner.problem import Problem, build_problem, in_units
 from malipp_field.planner.progress import Progress, Search
-from malipp_field.planner.realise import realise
-from malipp_field.planner.schedules import Codes, Robot, robots_of
 
 MISSING = 1e-6
 """Shares of schedules that do not exist, from which on there is no solution."""

@@ -9,12 +9,13 @@ from random_missions import part_way, tiny_mission
 from team_cases import search
 
 from malipp_field.mission import TeamState
-from malipp_field.planner import alone, sequential, verify
-from malipp_field.planner.alone import options_of, plan_alone
-from malipp_field.planner.exact import solve_arcs
+from malipp_field.planner import verify
+from malipp_field.planner.exact.lexicographic import solve_arcs
 from malipp_field.planner.extract import Verdict, plan_file
+from malipp_field.planner.paper import alone, sequential
+from malipp_field.planner.paper.alone import options_of, plan_alone
+from malipp_field.planner.paper.sequential import solve_sequential
 from malipp_field.planner.problem import Problem, build_problem
-from malipp_field.planner.sequential import solve_sequential
 
 
 def single(seed: int, *, partly: bool = False) -> Problem:

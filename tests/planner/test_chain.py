@@ -14,10 +14,10 @@ from malipp_field.mission import Mission
 from malipp_field.planner import solve, verify
 from malipp_field.planner.draft import Sample, draft_of
 from malipp_field.planner.extract import Verdict, plan_file
-from malipp_field.planner.improve import Improver
 from malipp_field.planner.linear import Effort
 from malipp_field.planner.problem import Problem, build_problem
-from malipp_field.planner.search_kernel import FAILED
+from malipp_field.planner.search.improver import Improver
+from malipp_field.planner.search.kernel import FAILED
 
 FOREVER = Effort(deadline=math.inf)
 LEGS_M = 3.0, 6.0, 4.0, 2.0

@@ -11,8 +11,8 @@ import pytest
 from numpy.typing import NDArray
 
 from malipp_field.field import Information
-from malipp_field.planner.cuts import split_information
-from malipp_field.planner.envelope import Cut, Envelope, Level, Pair, levels_of
+from malipp_field.planner.exact.cuts import split_information
+from malipp_field.planner.exact.envelope import Cut, Envelope, Level, Pair, levels_of
 
 FloatArray = NDArray[np.float64]
 Counts = tuple[int, ...]

@@ -30,7 +30,7 @@ from malipp_field.mission import Mission, TeamState, initial_state
 from malipp_field.mission.schema import Method
 from malipp_field.plan import Plan, advance, stops_done
 from malipp_field.planner import Progress, solve, verify
-from malipp_field.planner.relaxation import relaxation_bound
+from malipp_field.planner.bounds.relaxation import relaxation_bound
 
 _GAP = 1e-6
 _MARGIN = 1.0 + 4 * _GAP

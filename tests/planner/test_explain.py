@@ -17,12 +17,13 @@ from malipp_field.errors import PlanError
 from malipp_field.mission import Mission, initial_state, read_mission
 from malipp_field.plan import Plan
 from malipp_field.planner import explain as explain_module
-from malipp_field.planner import relaxation, solve
+from malipp_field.planner import solve
+from malipp_field.planner.bounds import relaxation
+from malipp_field.planner.bounds.relaxation import relaxed_values
+from malipp_field.planner.bounds.relaxation_rows import Polytope
 from malipp_field.planner.explain import explain
 from malipp_field.planner.explanation import Explanation, Kind, Resource
 from malipp_field.planner.problem import Problem, build_problem
-from malipp_field.planner.relaxation import relaxed_values
-from malipp_field.planner.relaxation_rows import Polytope
 from malipp_field.planner.usage import drops_by_node, left_out, usage
 
 MISSIONS = Path(__file__).parents[2] / "missions"

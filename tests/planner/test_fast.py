@@ -11,7 +11,7 @@ from malipp_field.mission import Mission
 from malipp_field.plan import Plan
 from malipp_field.planner import Progress, method_for, solve, verify
 from malipp_field.planner.repair import first_plan
-from malipp_field.planner.walks import Walks
+from malipp_field.planner.search.walks import Walks
 
 
 def team(robots: int, candidates: int, seed: int = 0) -> Mission:

@@ -12,16 +12,17 @@ from random_missions import part_way, tiny_mission
 
 from malipp_field.bench.instances import Specification, build
 from malipp_field.mission import Mission, TeamState, initial_state
-from malipp_field.planner import focus, verify
+from malipp_field.planner import verify
 from malipp_field.planner.draft import COLLECTED, Draft, draft_of, handlers
 from malipp_field.planner.extract import TeamPlan, Verdict, plan_file, team_plan
-from malipp_field.planner.focus import Focus
-from malipp_field.planner.focus_slice import cut, given, packed
-from malipp_field.planner.improve import Improver
 from malipp_field.planner.linear import Effort
 from malipp_field.planner.problem import Problem, build_problem
-from malipp_field.planner.search_kernel import Kernel
-from malipp_field.planner.search_state import load
+from malipp_field.planner.search import focus
+from malipp_field.planner.search.focus import Focus
+from malipp_field.planner.search.focus_slice import cut, given, packed
+from malipp_field.planner.search.improver import Improver
+from malipp_field.planner.search.kernel import Kernel
+from malipp_field.planner.search.state import load
 
 FOREVER = Effort(deadline=math.inf)
 

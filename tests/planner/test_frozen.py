@@ -10,7 +10,7 @@ from random_missions import tiny_mission
 from street_case import BASE, A, B, C, street
 
 from malipp_field.planner.extract import Visit, team_plan
-from malipp_field.planner.frozen import freeze, ground
+from malipp_field.planner.paper.frozen import freeze, ground
 from malipp_field.planner.problem import build_problem
 
 

@@ -18,11 +18,11 @@ from malipp_field.mission import Mission, TeamState, initial_state, read_mission
 from malipp_field.planner import verify
 from malipp_field.planner.draft import COLLECTED, Draft, Sample, draft_of
 from malipp_field.planner.extract import TeamPlan, Verdict, leg_energies, payloads, plan_file, team_plan
-from malipp_field.planner.improve import Improver
 from malipp_field.planner.linear import Effort
 from malipp_field.planner.problem import Problem, build_problem
-from malipp_field.planner.search_kernel import FAILED, Kernel
-from malipp_field.planner.search_state import State, case_of, load, most_samples, unloaded
+from malipp_field.planner.search.improver import Improver
+from malipp_field.planner.search.kernel import FAILED, Kernel
+from malipp_field.planner.search.state import State, case_of, load, most_samples, unloaded
 
 FOREVER = Effort(deadline=math.inf)
 CORRIDOR = Path(__file__).parents[2] / "missions" / "corridor.yaml"

@@ -19,7 +19,7 @@ from schedule_cases import (
     value_of,
 )
 
-from malipp_field.planner.labels import (
+from malipp_field.planner.exact.labels import (
     Actor,
     complete_schedules,
     completion,

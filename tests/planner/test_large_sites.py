@@ -14,11 +14,11 @@ from random_missions import part_way, tiny_mission
 from malipp_field.bench.instances import Specification, build
 from malipp_field.mission import Passage, drives_alike, initial_state, passages
 from malipp_field.planner import closure as closures
-from malipp_field.planner.bounds import quick_bound
+from malipp_field.planner.bounds.quick import quick_bound
 from malipp_field.planner.closure import Closure, closure
-from malipp_field.planner.improve import Improver
 from malipp_field.planner.linear import Effort
 from malipp_field.planner.problem import build_problem
+from malipp_field.planner.search.improver import Improver
 
 FOREVER = Effort(deadline=math.inf)
 

@@ -13,10 +13,10 @@ from random_missions import part_way, tiny_mission
 
 from malipp_field.planner import solve
 from malipp_field.planner.extract import Route, Visit, routes_of, team_plan
-from malipp_field.planner.literal import LiteralModel
-from malipp_field.planner.literal_model import ENERGY, INFORMATION, MAKESPAN
-from malipp_field.planner.literal_plan import assign, read_routes
-from malipp_field.planner.literal_sets import coefficient_bounds, explained
+from malipp_field.planner.paper.literal import LiteralModel
+from malipp_field.planner.paper.literal_model import ENERGY, INFORMATION, MAKESPAN
+from malipp_field.planner.paper.literal_plan import assign, read_routes
+from malipp_field.planner.paper.literal_sets import coefficient_bounds, explained
 from malipp_field.planner.problem import Problem, RobotView, build_problem
 
 Breaker = Callable[[], LiteralModel]

@@ -17,8 +17,8 @@ from malipp_field.mission import Mission, TeamState
 from malipp_field.planner import Progress, verify
 from malipp_field.planner.extract import Verdict, plan_file, team_plan
 from malipp_field.planner.linear import Effort
-from malipp_field.planner.literal import solve_literal
-from malipp_field.planner.literal_solver import RECOGNISED, Run, _options, choose_solver
+from malipp_field.planner.paper.literal import solve_literal
+from malipp_field.planner.paper.literal_solver import RECOGNISED, Run, _options, choose_solver
 from malipp_field.planner.problem import Problem, Stock, build_problem
 from malipp_field.planner.progress import Result, Search
 

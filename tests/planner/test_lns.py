@@ -15,14 +15,15 @@ from team_cases import quickest
 
 from malipp_field.mission import Cache, Mission, TeamState, initial_state, read_mission
 from malipp_field.plan import Plan
-from malipp_field.planner import Progress, lns, solve, verify
+from malipp_field.planner import Progress, solve, verify
+from malipp_field.planner.exact.tree import ColumnStage
 from malipp_field.planner.extract import TeamPlan, Visit, team_plan
-from malipp_field.planner.frozen import ground
 from malipp_field.planner.linear import Effort
-from malipp_field.planner.pairs import energy_slack, pairs_of, ranked, shared_nodes
+from malipp_field.planner.paper import lns
+from malipp_field.planner.paper.frozen import ground
+from malipp_field.planner.paper.pairs import energy_slack, pairs_of, ranked, shared_nodes
 from malipp_field.planner.problem import Problem, build_problem
 from malipp_field.planner.progress import Result, Search
-from malipp_field.planner.tree import ColumnStage
 
 MISSIONS = Path(__file__).parents[2] / "missions"
 TEAM = [100, 103, 131]

@@ -12,7 +12,7 @@ from random_missions import part_way, tiny_mission
 from team_cases import alike, as_scheduled, listed, lowest, nothing_forbidden, scaled, some_teams
 
 from malipp_field.mission import Mission, TeamState
-from malipp_field.planner.branching import (
+from malipp_field.planner.exact.branching import (
     Count,
     Decision,
     Level,
@@ -22,9 +22,9 @@ from malipp_field.planner.branching import (
     sides,
     split_levels,
 )
-from malipp_field.planner.columns import Branch
-from malipp_field.planner.master import Master
-from malipp_field.planner.schedules import Codes
+from malipp_field.planner.exact.columns import Branch
+from malipp_field.planner.exact.master import Master
+from malipp_field.planner.exact.schedules import Codes
 
 _MISSIONS: dict[str, tuple[Mission, TeamState | None]] = {
     "two robots": (tiny_mission(202, candidates=2), None),

@@ -15,16 +15,16 @@ from random_missions import part_way, tiny_mission
 from malipp_field.field import information_model
 from malipp_field.mission import Mission, Passage, initial_state
 from malipp_field.planner.closure import closure
-from malipp_field.planner.cuts import diagonal_share, split_information
 from malipp_field.planner.draft import COLLECTED, Draft, Sample, draft_of
-from malipp_field.planner.exact import solve_exact
+from malipp_field.planner.exact.cuts import diagonal_share, split_information
+from malipp_field.planner.exact.lexicographic import solve_exact
+from malipp_field.planner.exact.milp import TeamModel
+from malipp_field.planner.exact.timing import add_timing, horizon_s
 from malipp_field.planner.extract import Visit, read_routes, start_point, team_plan
-from malipp_field.planner.improve import Improver
 from malipp_field.planner.linear import Effort
-from malipp_field.planner.milp import TeamModel
 from malipp_field.planner.problem import build_problem
 from malipp_field.planner.progress import Search
-from malipp_field.planner.timing import add_timing, horizon_s
+from malipp_field.planner.search.improver import Improver
 
 FOREVER = Effort(deadline=math.inf)
 seeds = st.integers(0, 10_000)

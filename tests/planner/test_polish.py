@@ -12,10 +12,10 @@ from malipp_field.mission import initial_state
 from malipp_field.planner import verify
 from malipp_field.planner.draft import Draft, draft_of
 from malipp_field.planner.extract import Verdict, plan_file, team_plan
-from malipp_field.planner.improve import Improver
 from malipp_field.planner.linear import Effort
-from malipp_field.planner.polish import polished, route_energy_j
 from malipp_field.planner.problem import build_problem
+from malipp_field.planner.search.improver import Improver
+from malipp_field.planner.search.polish import polished, route_energy_j
 
 FOREVER = Effort(deadline=math.inf)
 

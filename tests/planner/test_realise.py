@@ -10,10 +10,10 @@ from team_cases import alike, listed, scaled, search, some_teams
 
 from malipp_field.mission import Mission, TeamState
 from malipp_field.planner import verify
+from malipp_field.planner.exact.realise import realise
+from malipp_field.planner.exact.stages import plan_of_precision
 from malipp_field.planner.extract import Verdict, plan_file, team_plan
 from malipp_field.planner.problem import build_problem
-from malipp_field.planner.realise import realise
-from malipp_field.planner.stages import plan_of_precision
 
 _VERDICT = Verdict(
     method="exact", status="feasible", bound=None, gap=None, solve_time_s=0.0, seed=0, version=1

@@ -19,11 +19,11 @@ from verify_cases import FIELD, Routes, Scene, dead_drop, mid_route, one_way, pl
 from malipp_field.field import candidate_ids, information_model
 from malipp_field.mission import Mission, TeamState, node_positions, parse_mission
 from malipp_field.plan import RobotPlan
-from malipp_field.planner import relaxation
+from malipp_field.planner.bounds import relaxation
+from malipp_field.planner.bounds.relaxation import relaxation_bound
+from malipp_field.planner.bounds.relaxation_rows import Polytope
 from malipp_field.planner.problem import build_problem
-from malipp_field.planner.relaxation import relaxation_bound
-from malipp_field.planner.relaxation_rows import Polytope
-from malipp_field.planner.verify import verify
+from malipp_field.planner.verifier.rules import verify
 
 PLACES = {"a": (10.0, 4.0), "b": (18.0, -6.0), "c": (25.0, 3.0), "d": (4.0, -9.0)}
 

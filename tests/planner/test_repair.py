@@ -14,14 +14,14 @@ from malipp_field.mission import Cache, Mission, RobotState, TeamState
 from malipp_field.plan import Plan, advance, rest_of
 from malipp_field.planner import solve, verify
 from malipp_field.planner.draft import ON_BOARD, draft_of
+from malipp_field.planner.exact.stages import plan_of_precision
 from malipp_field.planner.extract import TeamPlan, Verdict, plan_file
 from malipp_field.planner.follow import followed
-from malipp_field.planner.improve import Improver
 from malipp_field.planner.linear import Effort
 from malipp_field.planner.problem import Problem, build_problem
 from malipp_field.planner.progress import Search
 from malipp_field.planner.repair import first_plan, repaired
-from malipp_field.planner.stages import plan_of_precision
+from malipp_field.planner.search.improver import Improver
 
 SEARCH = Search(Effort(deadline=math.inf), gap=1e-4)
 

@@ -7,8 +7,8 @@ import pytest
 from random_missions import tiny_mission
 from team_cases import listed, scaled
 
-from malipp_field.planner.rows import Own, Rows
-from malipp_field.planner.schedules import Codes, Robot
+from malipp_field.planner.exact.rows import Own, Rows
+from malipp_field.planner.exact.schedules import Codes, Robot
 
 
 def team(seed: int) -> list[Robot]:

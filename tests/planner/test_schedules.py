@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from random_missions import part_way, tiny_mission
 from schedule_cases import FloatArray, every_schedule, master_gain, random_actor, value_of
 
-from malipp_field.planner.labels import Actor
+from malipp_field.planner.exact.labels import Actor
+from malipp_field.planner.exact.schedules import Robot, robots_of
 from malipp_field.planner.problem import build_problem, in_units
-from malipp_field.planner.schedules import Robot, robots_of
 
 _ALL = -1e300
 _NO_PAIRS = (np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros((0, 1, 1)))

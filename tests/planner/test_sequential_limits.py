@@ -10,15 +10,18 @@ from team_cases import alike, search
 
 from malipp_field.bench.instances import Specification, build
 from malipp_field.mission import Mission
-from malipp_field.planner import bounds, fast, relaxation, sequential, solve, verify
-from malipp_field.planner.bounds import is_relaxable
-from malipp_field.planner.focus import Focus
+from malipp_field.planner import fast, solve, verify
+from malipp_field.planner.bounds import quick as bounds
+from malipp_field.planner.bounds import relaxation
+from malipp_field.planner.bounds.quick import is_relaxable
+from malipp_field.planner.bounds.relaxation import relaxed_values
+from malipp_field.planner.exact.schedules import robots_of
+from malipp_field.planner.paper import sequential
+from malipp_field.planner.paper.sequential import solve_sequential
 from malipp_field.planner.problem import Problem, build_problem
 from malipp_field.planner.progress import Progress
-from malipp_field.planner.relaxation import relaxed_values
-from malipp_field.planner.schedules import robots_of
-from malipp_field.planner.sequential import solve_sequential
-from malipp_field.planner.walks import Walks
+from malipp_field.planner.search.focus import Focus
+from malipp_field.planner.search.walks import Walks
 
 SOME_SEARCHED = "sequential, some robots searched"
 

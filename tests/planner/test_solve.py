@@ -15,7 +15,7 @@ from malipp_field.mission import Cache, Mission, RobotState, TeamState, initial_
 from malipp_field.mission.schema import Method
 from malipp_field.plan import Plan
 from malipp_field.planner import Progress, solve, verify
-from malipp_field.planner.relaxation import relaxation_bound
+from malipp_field.planner.bounds.relaxation import relaxation_bound
 
 MISSIONS = Path(__file__).parents[2] / "missions"
 FEW = settings(max_examples=5, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))

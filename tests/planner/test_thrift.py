@@ -11,16 +11,17 @@ from team_cases import alike, listed, scaled, search, some_teams
 from test_labels import priced
 
 from malipp_field.mission import Mission, TeamState
-from malipp_field.planner import economy, thrift, verify
-from malipp_field.planner.choices import Choice
-from malipp_field.planner.chosen import cheapest_order
-from malipp_field.planner.economy import Economy
+from malipp_field.planner import verify
+from malipp_field.planner.exact import economy, thrift
+from malipp_field.planner.exact.choices import Choice
+from malipp_field.planner.exact.chosen import cheapest_order
+from malipp_field.planner.exact.economy import Economy
+from malipp_field.planner.exact.labels import Actor, complete_schedules, completion, enumerate_labels
+from malipp_field.planner.exact.stages import arc_stages
+from malipp_field.planner.exact.thrift import last_stages
 from malipp_field.planner.extract import TeamPlan, Verdict, plan_file, team_plan
-from malipp_field.planner.labels import Actor, complete_schedules, completion, enumerate_labels
 from malipp_field.planner.problem import Problem, build_problem
 from malipp_field.planner.progress import Search
-from malipp_field.planner.stages import arc_stages
-from malipp_field.planner.thrift import last_stages
 
 _ROOM = 100_000
 _VERDICT = Verdict(

@@ -14,11 +14,11 @@ from team_cases import alike, quickest, scaled, search
 from malipp_field.bench.instances import Specification, build
 from malipp_field.mission import Mission, TeamState
 from malipp_field.planner import solve, verify
-from malipp_field.planner.arcs import InformationStage
-from malipp_field.planner.improve import Improver
+from malipp_field.planner.exact.arcs import InformationStage
+from malipp_field.planner.exact.stages import plan_of_precision
+from malipp_field.planner.exact.tree import ColumnStage
 from malipp_field.planner.progress import Progress, Result
-from malipp_field.planner.stages import plan_of_precision
-from malipp_field.planner.tree import ColumnStage
+from malipp_field.planner.search.improver import Improver
 
 _GAP = 1e-6
 _BUDGET_J = 30.0

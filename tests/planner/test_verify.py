@@ -11,8 +11,9 @@ import pytest
 from verify_cases import Scene, dead_drop, mid_route, one_way, residual, stop
 
 from malipp_field.errors import PlanError
-from malipp_field.planner import verify_custody, verify_routes
-from malipp_field.planner.verify import check, verify
+from malipp_field.planner.verifier import custody as verify_custody
+from malipp_field.planner.verifier import routes as verify_routes
+from malipp_field.planner.verifier.rules import check, verify
 
 Change = Callable[[Scene], None]
 SCENES = {scene.__name__: scene for scene in (dead_drop, mid_route, one_way, residual)}

@@ -21,7 +21,7 @@ from malipp_field.link.compare import differences
 from malipp_field.mission import Mission, parse_mission
 from malipp_field.plan import Plan
 from malipp_field.plan.files import read_plan
-from malipp_field.planner.verify import check
+from malipp_field.planner.verifier.rules import check
 from malipp_field.sim import Fleet, RoverConfig
 from malipp_field.sim.mission_run import RunState
 from malipp_field.vehicle.compile import compile_plan

@@ -1,0 +1,1 @@
+"""The independent verifier: no plan leaves the planner that it has not passed."""
