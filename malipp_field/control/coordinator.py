@@ -370,8 +370,7 @@ class Coordinator:
         kept = {}
         for robot, track in self.tracks.items():
             if robot in revision.missions:
-                committed = len(revision.outlook.committed[robot])
-                track.adopt(revision.plan.robot(robot), revision.missions[robot], committed)
+                track.adopt(revision.plan.robot(robot), revision.missions[robot], revision.kept[robot])
             else:  # it keeps its mission: the new plan's words are about its old steps
                 steps = track.mission.steps
                 kept[robot] = steps[len(steps) - len(revision.compiled[robot].steps) :]

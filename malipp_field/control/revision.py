@@ -10,6 +10,7 @@ from malipp_field.control.lookahead import Outlook
 from malipp_field.mission import Mission
 from malipp_field.plan import Plan
 from malipp_field.vehicle.compile import Custody, compile_plan
+from malipp_field.vehicle.layout import lay_out
 from malipp_field.vehicle.steps import Action, Sample, Step, VehicleMission
 
 _SAME_TIME_S = 1.0
@@ -24,7 +25,11 @@ class Revision:
     compiled
         The free part of each robot's mission, from the new plan alone.
     missions
-        The missions that vehicles concerned are to carry out: committed steps, then the free part.
+        The missions that vehicles concerned are to carry out: committed steps, then the free part. One
+        vehicle alone keeps what it has done before them: so the leg it drives keeps its item number, which it
+        must to be given its mission under way.
+    kept
+        How many steps of each of these missions come before the free part.
     samples
         Every container that the new plan still wants collected.
     """
@@ -33,6 +38,7 @@ class Revision:
     outlook: Outlook
     compiled: dict[str, VehicleMission]
     missions: dict[str, VehicleMission]
+    kept: dict[str, int]
     samples: dict[int, Sample]
 
 
@@ -57,14 +63,16 @@ def revise(
     )
     run = max(old.run for old in in_force.values())  # they have one and the same
     compiled = compile_plan(mission, plan, custody, start_s, run)
-    missions = {}
+    missions, past = {}, {}
     for robot_id, part in compiled.missions.items():
         old = in_force[robot_id]
         diverges_at = outlook.diverges_at[robot_id]
         first_free = len(old.steps) if diverges_at is None else old.index_of(diverges_at)
         assert first_free is not None
         if not same_work(old.steps[first_free:], part.steps):
-            steps = (*outlook.committed[robot_id], *part.steps) or (_stay(robot_id, old, diverges_at, plan),)
+            committed = outlook.committed[robot_id]
+            past[robot_id] = old.steps[: first_free - len(committed)]
+            steps = (*committed, *part.steps) or (_stay(robot_id, old, diverges_at, plan),)
             missions[robot_id] = part.model_copy(update={"steps": steps})
     committed_tags = {tag for steps in outlook.committed.values() for step in steps for tag in step.tags}
     still_to_collect = {
@@ -72,7 +80,15 @@ def revise(
         for tag, record in ledger.records.items()
         if tag in committed_tags and record.state == "planned"
     }
-    return Revision(plan, outlook, compiled.missions, missions, {**still_to_collect, **compiled.samples})
+    kept = {robot_id: len(outlook.committed[robot_id]) for robot_id in missions}
+    if len(missions) == 1:
+        (robot_id,) = missions
+        whole = missions[robot_id].model_copy(update={"steps": (*past[robot_id], *missions[robot_id].steps)})
+        if len(lay_out(whole).items) <= mission.vehicle(robot_id).max_items:
+            missions[robot_id] = whole
+            kept[robot_id] += len(past[robot_id])
+    samples = {**still_to_collect, **compiled.samples}
+    return Revision(plan, outlook, compiled.missions, missions, kept, samples)
 
 
 def same_work(old: Sequence[Step], new: Sequence[Step]) -> bool:
