@@ -211,6 +211,8 @@ async def _upload(
                 (out if member.state == "wanted" else err).print(
                     f"{member.robot}: {member.words}{_armed(member)}", soft_wrap=True
                 )
+                for warning in member.warnings:
+                    err.print(f"{member.robot}: warning: {warning}", soft_wrap=True)
             _say_why_unheard(contacts)
     return [member.state for member in members]
 

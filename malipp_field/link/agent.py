@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import Awaitable, Callable
+from functools import partial
 from typing import Protocol, TypeVar
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -28,6 +29,7 @@ from malipp_field.link.driver import TICK_S, Driver
 from malipp_field.link.exchange import MavMessage
 from malipp_field.link.mission_watch import MissionWatch
 from malipp_field.link.orders import Orders
+from malipp_field.link.outputs import refused_channel
 from malipp_field.link.progress import Progress
 from malipp_field.link.reports import Publishes, Reports
 from malipp_field.link.vehicle import STREAM_MESSAGES, Vehicle
@@ -121,10 +123,12 @@ class Agent:
         self.vehicle = Vehicle(where.system_id, where.component_id)
         self.progress = Progress()
         self._driver = Driver(self.vehicle, self._send, clock, where.own, beats_alone=not where.shared)
-        self._orders = Orders(robot, self._driver, self.progress, self._person_says)
         self._inbox = ConfirmationInbox()
         self._watch = MissionWatch(where.own)
         self._reports = Reports(mission_name, robot, bus, clock)
+        self._orders = Orders(
+            robot, self._driver, self.progress, self._person_says, partial(self._reports.event, "warning")
+        )
         self._emergency: asyncio.Task[None] | None = None
         self._began_s = clock.now_s()
         self._link_ok = False
@@ -245,8 +249,12 @@ class Agent:
 
     def _text(self, severity: int, text: str) -> None:
         report = parse_confirmation(text)
+        channel = refused_channel(text)
         if report is not None:
             self._confirmed(report)
+        elif channel is not None:  # said as if it were nothing, and the vehicle goes on
+            self.progress.refuse(channel)
+            self._reports.event("error", text)
         elif severity <= mavlink.MAV_SEVERITY_ERROR:
             self._reports.event("error", text)
         elif severity <= mavlink.MAV_SEVERITY_WARNING:

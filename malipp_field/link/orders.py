@@ -11,8 +11,10 @@ from malipp_field.errors import LinkError
 from malipp_field.link.compare import differences
 from malipp_field.link.confirmations import JOINING_S
 from malipp_field.link.driver import Driver
+from malipp_field.link.outputs import Need, check_outputs, needs
 from malipp_field.link.progress import Progress
 from malipp_field.link.replacement import replace_under_way, safe_until_s
+from malipp_field.link.standing import displacement
 from malipp_field.link.time_of_day import compare_clocks
 from malipp_field.vehicle.layout import confirmed_by, lay_out
 from malipp_field.vehicle.payload_protocol import REPEAT_S
@@ -37,13 +39,21 @@ class Orders:
         The vehicle, and which steps it has done.
     confirmed
         Publishes a person's word on a step.
+    warn
+        Tells whoever watches the mission what they should know.
     """
 
     def __init__(
-        self, robot: str, driver: Driver, progress: Progress, confirmed: Callable[[Step, Confirm], None]
+        self,
+        robot: str,
+        driver: Driver,
+        progress: Progress,
+        confirmed: Callable[[Step, Confirm], None],
+        warn: Callable[[str], None],
     ) -> None:
         self._robot, self._driver, self._progress = robot, driver, progress
-        self._confirmed = confirmed
+        self._confirmed, self._warn = confirmed, warn
+        self._outputs_seen: set[Need] = set()
         self._verified_s = 0.0
 
     async def carry_out(self, order: Order) -> str:
@@ -85,6 +95,7 @@ class Orders:
         self._object_to(order)
         if mission.keeps_time:
             await compare_clocks(self._driver)
+        await self._look_at(order)
         if order.resume and await self._replace_under_way(mission):
             return f"version {mission.version} is on board and verified; the vehicle was not stopped for it"
         if vehicle.armed or vehicle.mode == "AUTO":
@@ -97,6 +108,23 @@ class Orders:
         if order.resume and under_way:
             await self._go(mission)
         return f"version {mission.version} is on board and verified"
+
+    async def _look_at(self, order: Load) -> None:
+        """See that the vehicle is set up for a mission and stands at its start, where that is the first one.
+
+        Outputs are looked at once: a vehicle under way is not to wait for it with every new plan.
+        """
+        items = lay_out(order.mission).items
+        if not (order.done or order.begun or self._progress.under_way):
+            self._outputs_seen.clear()
+            away = await displacement(self._driver, items[0])
+            if away is not None:
+                raise LinkError(away)
+        unseen = [need for need in needs(items) if need not in self._outputs_seen]
+        untold = await check_outputs(self._driver, unseen)
+        self._outputs_seen.update(unseen)
+        if untold is not None:
+            self._warn(untold)
 
     def _leave_to_a_person(self) -> None:
         vehicle = self._driver.vehicle

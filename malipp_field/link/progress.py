@@ -10,7 +10,8 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable
 
-from malipp_field.vehicle.layout import Layout, confirmed_by, lay_out
+from malipp_field.mission.vehicles import ByServo
+from malipp_field.vehicle.layout import Layout, confirmed_by, lay_out, means_of
 from malipp_field.vehicle.payload_protocol import PayloadReport
 from malipp_field.vehicle.steps import Action, Step, VehicleMission
 
@@ -27,7 +28,7 @@ class Progress:
     done : set of str
         Uids of steps done, under this mission or an earlier one of this run, or gone on without.
     failed : dict of str to str
-        What is wrong with steps that the vehicle tried and holds at, by uid.
+        What is wrong with steps that the vehicle tried, by uid: it holds there, but for an output refused.
     """
 
     def __init__(self) -> None:
@@ -151,7 +152,7 @@ class Progress:
                 self.done.add(step.uid)
             elif step.uid in self.done:
                 continue
-            elif confirmed_by(mission, step) == "progress":
+            elif confirmed_by(mission, step) == "progress" and step.uid not in self.failed:
                 passed.append(step)
             else:
                 break
@@ -167,6 +168,19 @@ class Progress:
         self.done.add(step.uid)
         self.failed.pop(step.uid, None)
 
+    def refuse(self, channel: int) -> None:
+        """Note that the vehicle did not set a servo: the step that it was to do that for has failed.
+
+        The word may be here before the report that the vehicle has come to that step.
+        """
+        if not self.in_force or self.mission is None:
+            return
+        for step in self.mission.steps[self._index :]:
+            means = means_of(self.mission, step)
+            if isinstance(means, ByServo) and means.channel == channel and step.uid not in self.done:
+                self.failed.setdefault(step.uid, f"servo channel {channel} is in use")
+                return
+
     def awaited(self) -> Step | None:
         """Return the step that waits for a person's word, or that the vehicle has not left although it came.
 
@@ -176,10 +190,10 @@ class Progress:
         if mission is None or layout is None or not self.in_force:
             return None
         for index, step in enumerate(mission.steps[: self._index + 1]):
-            here = index == self._index
-            if here and step.uid in self.failed:
+            here, witness = index == self._index, confirmed_by(mission, step)
+            if step.uid in self.failed and (here or witness == "progress"):
                 return step
-            if confirmed_by(mission, step) != "person" or (here and self._item < layout.last_item(index)):
+            if witness != "person" or (here and self._item < layout.last_item(index)):
                 continue
             if step.uid not in self.done or (here and index + 1 < len(mission.steps)):
                 return step

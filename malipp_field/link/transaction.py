@@ -17,6 +17,8 @@ from malipp_field.errors import LinkError
 from malipp_field.link.compare import differences
 from malipp_field.link.driver import Driver
 from malipp_field.link.mission_protocol import MissionType
+from malipp_field.link.outputs import check_outputs, needs
+from malipp_field.link.standing import displacement
 from malipp_field.link.time_of_day import compare_clocks
 from malipp_field.vehicle.items import MAV_CMD_NAV_SCRIPT_TIME, MissionItem
 
@@ -46,6 +48,8 @@ class Member:
         What is on board now: what it ``had``, what is ``wanted``, or ``unknown``.
     fault
         What went wrong with it, in words; empty while nothing has.
+    warnings
+        What a person should know of it all the same, in words.
     """
 
     robot: str
@@ -54,6 +58,7 @@ class Member:
     keeps_time: bool = False
     state: Literal["had", "wanted", "unknown"] = "had"
     fault: str = ""
+    warnings: list[str] = field(default_factory=list)
     _had: dict[MissionType, list[MissionItem]] = field(default_factory=dict)
     _touched: set[MissionType] = field(default_factory=set)
     _index: int = 0
@@ -71,10 +76,14 @@ class Member:
         return f"what is on board is not known; as far as is known {doing}; do not start it"
 
     async def meet(self) -> None:
-        """See that the vehicle is there, and knows the time where its mission needs it."""
+        """See that the vehicle is there, and set up for its mission; note where it stands elsewhere."""
         await self.driver.hear()
         if self.keeps_time:
             await compare_clocks(self.driver)
+        items = self.wanted[MissionType.MISSION]
+        untold = await check_outputs(self.driver, needs(items))
+        away = await displacement(self.driver, items[0])
+        self.warnings += [warning for warning in (untold, away) if warning is not None]
 
     async def stand(self, *, hold: bool) -> None:
         """See that the vehicle is there and does not drive; with ``hold`` make it stop."""

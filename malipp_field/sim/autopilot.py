@@ -105,7 +105,7 @@ class Autopilot:
         self.hung = False
         self.home = self.position
         self.script = PayloadScript(self.robot.id, self._world)
-        self.outputs = Outputs(self.robot.id, self._world)
+        self.outputs = Outputs(self.robot.id, self._world, self.parameters)
         self.run = MissionRun(self.store, self._begin, self._perform, self._completed)
         self._energy_at_boot_j = self.energy_used_j
         self._activity: Activity | None = None

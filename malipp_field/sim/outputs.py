@@ -10,12 +10,13 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from malipp_field.mission.vehicles import ByGripper, ByRelay, ByServo, Means
 from malipp_field.sim.motion import Position
+from malipp_field.sim.params import Parameters
 from malipp_field.sim.world import Outcome, World
 from malipp_field.vehicle.items import MissionItem
 from malipp_field.vehicle.steps import Action
 
-_IN_USE = {1, 3}
-"""Servo channels that a Rover steers and drives with."""
+_FREE_FUNCTIONS = {0, 1, 22, 23, 28, *range(51, 67)}
+"""SERVOn_FUNCTION with which a channel obeys DO_SET_SERVO."""
 _RELEASE, _GRAB = 0, 1
 
 
@@ -30,8 +31,8 @@ class Outputs:
         What the last movement of the mechanism came to; a person can see that, the vehicle cannot.
     """
 
-    def __init__(self, robot_id: str, world: World) -> None:
-        self._robot_id, self._world = robot_id, world
+    def __init__(self, robot_id: str, world: World, parameters: Parameters) -> None:
+        self._robot_id, self._world, self._parameters = robot_id, world, parameters
         self._profile = world.mission.vehicle(robot_id).payload
         self.servos_us: dict[int, int] = {}
         self.relays: dict[int, bool] = {}
@@ -42,13 +43,17 @@ class Outputs:
         number, value = int(item.param1), int(item.param2)
         text = None
         if item.command == mavlink.MAV_CMD_DO_SET_SERVO:
-            if number in _IN_USE:
+            if self._parameters.get(f"SERVO{number}_FUNCTION", 0) not in _FREE_FUNCTIONS:
                 return f"ServoRelayEvent: Channel {number} is already in use"
             self.servos_us[number] = value
         elif item.command == mavlink.MAV_CMD_DO_SET_RELAY:
+            if self._parameters.get(f"RELAY{number + 1}_FUNCTION", 0) != 1:
+                return None
             self.relays[number] = bool(value)
         else:
             text = "Gripper Grabbed" if value == _GRAB else "Gripper Released"
+            if self._parameters["GRIP_ENABLE"] != 1:  # it says so all the same
+                return text
         actions = {
             action
             for action in (Action.COLLECT, Action.DROP, Action.PICK, Action.UNLOAD)

@@ -1,7 +1,8 @@
 """The parameters a ground station expects of a Rover, and ArduPilot's parameter protocol.
 
-They are kept and survive a restart, as on a vehicle. Of them MIS_RESTART, MAV_GCS_SYSID and those of the
-ground station failsafe (FS_GCS_ENABLE, FS_GCS_TIMEOUT, FS_TIMEOUT, FS_ACTION) change what this rover does.
+They are kept and survive a restart, as on a vehicle. Of them MIS_RESTART, MAV_GCS_SYSID, those of the ground
+station failsafe (FS_GCS_ENABLE, FS_GCS_TIMEOUT, FS_TIMEOUT, FS_ACTION) and those of the outputs (SERVOn_FUNCTION,
+RELAYn_FUNCTION, GRIP_ENABLE) change what this rover does.
 """
 
 from __future__ import annotations
@@ -49,7 +50,11 @@ _ROVER: dict[str, tuple[float, int]] = {
     "TURN_RADIUS": (0.9, _REAL32),
     "WP_RADIUS": (2.0, _REAL32),
     "WP_SPEED": (2.0, _REAL32),
+    "GRIP_ENABLE": (1, _INT8),
+    **{f"SERVO{n}_FUNCTION": ({1: 26, 3: 70}.get(n, 0), _INT16) for n in range(1, 17)},
+    **{f"RELAY{n}_FUNCTION": (1, _INT8) for n in range(1, 17)},
 }
+"""Defaults of a Rover that is set up for any payload: a gripper, relays, and servo outputs but 1 and 3."""
 
 
 class Parameters:
@@ -73,6 +78,10 @@ class Parameters:
             )
         self._values = {name: float(value) for name, (value, _) in _ROVER.items()} | changed
         self._names = list(self._values)
+
+    def get(self, name: str, otherwise: float) -> float:
+        """Return a value, or ``otherwise`` for a name it does not have."""
+        return self._values.get(name, otherwise)
 
     def __getitem__(self, name: str) -> float:
         return self._values[name]

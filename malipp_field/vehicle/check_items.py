@@ -24,6 +24,7 @@ _NAN_AS_ZERO = {codes.MAV_CMD_NAV_WAYPOINT, codes.MAV_CMD_NAV_LOITER_UNLIM}
 """Commands whose param 4 may be NaN."""
 _PULSE_US = (500, 2500)
 _SERVOS, _RELAYS = 32, 16
+_DRIVEN_BY = {1: "the steering", 3: "the throttle"}
 _LONG_DELAY_S = 3600.0
 
 
@@ -305,6 +306,12 @@ def _output(item: MissionItem, spot: Spot) -> Iterator[Finding]:
             )
         if not 1 <= first <= _SERVOS:
             yield spot.error("no-output", f"there is no servo output {first:g}", f"use 1 to {_SERVOS}")
+        elif first in _DRIVEN_BY:
+            yield spot.warning(
+                "output-in-use",
+                f"servo channel {first:g} is {_DRIVEN_BY[first]} on a Rover by default, and then not moved",
+                f"use a free channel, or set SERVO{first:g}_FUNCTION to 0 where nothing is driven by it",
+            )
     if item.command == codes.MAV_CMD_DO_SET_RELAY:
         if second not in {0, 1}:
             yield spot.error("relay-state", f"{second:g} is no state of a relay", "use 0 (off) or 1 (on)")

@@ -104,6 +104,21 @@ def test_what_is_wrong_with_a_command_is_not_refused_on_upload() -> None:
     assert reached(ground.heard) == [1, 5]
 
 
+def test_an_output_that_is_not_set_up_does_nothing_whatever_the_rover_says() -> None:
+    parameters = "simulation: {parameters: {SERVO9_FUNCTION: 70, RELAY3_FUNCTION: 0, GRIP_ENABLE: 0}}"
+    ground = ground_for(site(f"{PROFILE}{parameters}"), "carrier")
+    world = ground.rover.world
+    world.act("scout", Action.COLLECT, 1, BASE)
+    world.act("scout", Action.DROP, 1, BASE)
+    ground.start([delay(1, -1, -1, -1), do(SERVO, 9, 1900), do(RELAY, 2, 1), do(RELAY, 1, 1),
+                  do(GRIPPER, 1, 0), delay(9, -1, -1, -1)])  # fmt: skip
+    ground.wait(5.0)
+    outputs = ground.rover.autopilot.outputs
+    assert (outputs.servos_us, outputs.relays, outputs.outcome) == ({}, {1: True}, None)
+    assert "ServoRelayEvent: Channel 9 is already in use" in ground.texts()
+    assert "Gripper Released" in ground.texts()
+
+
 def test_a_gripper_action_that_does_not_exist_hangs_the_autopilot_until_it_is_restarted() -> None:
     ground = carrier()
     ground.start([do(GRIPPER, 1, 2), delay(9, -1, -1, -1)])

@@ -110,12 +110,15 @@ FAULTY = [
     ("no-output", plain(183, 33, 1500)),
     ("no-output", plain(183, 0, 1500)),
     ("no-output", plain(181, 16, 1)),
+    ("output-in-use", plain(183, 1, 1500)),
+    ("output-in-use", plain(183, 3, 1500)),
     ("relay-state", plain(181, 0, 2)),
     ("zero-place", DRIVE._replace(x=0, y=0)),
     ("autocontinue", DRIVE._replace(autocontinue=0)),
     ("sequence", DRIVE._replace(seq=2)),
 ]  # fmt: skip
-WARNED = {"delay-long", "delay-conflict", "rounded", "frame-without-place", "script-timeout", "zero-place"}
+WARNED = {"delay-long", "delay-conflict", "rounded", "frame-without-place", "script-timeout", "zero-place",
+          "output-in-use"}  # fmt: skip
 
 
 @pytest.mark.parametrize(("rule", "item"), FAULTY, ids=lambda value: value if isinstance(value, str) else "")
