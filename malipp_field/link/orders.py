@@ -119,6 +119,8 @@ class Orders:
             self._outputs_seen.clear()
             away = await displacement(self._driver, items[0])
             if away is not None:
+                if self._driver.vehicle.mode == "AUTO":  # on a mission of which nobody here knows
+                    await self._driver.enter("HOLD")
                 raise LinkError(away)
         unseen = [need for need in needs(items) if need not in self._outputs_seen]
         untold = await check_outputs(self._driver, unseen)

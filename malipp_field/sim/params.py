@@ -1,8 +1,8 @@
 """The parameters a ground station expects of a Rover, and ArduPilot's parameter protocol.
 
-They are kept and survive a restart, as on a vehicle. Of them MIS_RESTART, MAV_GCS_SYSID, those of the ground
-station failsafe (FS_GCS_ENABLE, FS_GCS_TIMEOUT, FS_TIMEOUT, FS_ACTION) and those of the outputs (SERVOn_FUNCTION,
-RELAYn_FUNCTION, GRIP_ENABLE) change what this rover does.
+They are kept and survive a restart, as on a vehicle. Of them MIS_RESTART, MAV_GCS_SYSID, those of the
+ground station failsafe (FS_GCS_ENABLE, FS_GCS_TIMEOUT, FS_TIMEOUT, FS_ACTION) and those of the outputs
+(SERVOn_FUNCTION, RELAYn_FUNCTION, GRIP_ENABLE) change what this rover does.
 """
 
 from __future__ import annotations

@@ -302,7 +302,7 @@ def test_a_vehicle_on_another_mission_than_ordered_is_left_alone_where_that_was_
 
 @pytest.mark.parametrize("strange", [False, True])
 def test_a_team_that_is_started_anew_begins_from_the_beginning(strange: bool) -> None:
-    """Nothing is said to be done, so the operator begins, whatever the vehicle was on."""
+    """Nothing is said to be done, so it is put back and begins, whatever the vehicle was on."""
 
     async def scene(yard: Yard) -> None:
         await fly(yard, *ROUND)
@@ -310,6 +310,10 @@ def test_a_team_that_is_started_anew_begins_from_the_beginning(strange: bool) ->
         await yard.restart_agent(1.0)
         if strange:
             yard.rover.autopilot.store.items[1:] = lay_out(yard.mission("drive b", "drive base")).items[1:]
+        assert "from the start of its mission" in (await yard.order(Load(mission=yard.mission(*ROUND)))).text
+        assert mode_of(yard) == HOLD
+        yard.rover.autopilot.position = yard.world.places["base"]
+        await yard.live(1.0)
         assert (await yard.order(Load(mission=yard.mission(*ROUND)))).text.endswith("verified")
         assert mode_of(yard) == HOLD
         assert (await yard.order(Start())).ok

@@ -94,7 +94,8 @@ def test_a_servo_refused_on_the_way_is_an_error_and_no_step_done() -> None:
         assert (await yard.order(Confirm(uid="collect a 1", ok=False, text="not taken"))).ok
         await yard.until(lambda: yard.telemetry.finished)
         assert [(c.uid, c.ok, c.by) for c in yard.bus.of(Confirmation)] == [
-            ("collect a 1", False, "person"), ("drop a 1", True, "progress"), ("unload base 1", True, "progress")
+            ("collect a 1", False, "person"), ("drop a 1", True, "progress"),
+            ("unload base 1", True, "progress")
         ]  # fmt: skip
 
     Yard().run(scene)
