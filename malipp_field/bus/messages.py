@@ -174,8 +174,8 @@ class Load(BaseModel):
     yet. The agent refuses before it sends or holds anything, when the vehicle has left the part that the old
     and the new mission share: the step being carried out must be part of the new mission, or be the gate
     (a `WAIT` step) named by `diverges_at`; a vehicle that has finished is always at its last step's node.
-    A first mission (nothing `done`, not `begun`) is refused, too, where the vehicle is not at its home. After a
-    failure the vehicle is left holding, never driving.
+    A first mission (nothing `done`, not `begun`) is refused, too, where the vehicle is not at its home. After
+    a failure the vehicle is left holding, never driving.
 
     An agent that was started again in mid-mission knows nothing of it. Told by `begun` or `done` that the
     vehicle is part-way, it reads what is on board first; where that is this mission, it follows it from the
