@@ -8,7 +8,7 @@ import os
 import re
 import signal
 import sys
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager, suppress
 
 import pytest
@@ -23,6 +23,9 @@ from malipp_field.vehicle.steps import Step
 
 _SAID_BY_VEHICLE = re.compile(r"AP: (.*)")
 _CURRENT_ITEM = re.compile(r"\bwaypoint (\d+)$")
+_ITEM_TAKEN = "Got COMMAND_ACK: DO_SET_MISSION_CURRENT: ACCEPTED"
+RETYPE_S = 5.0
+"""Of wall time, after which a person types again what has had no effect."""
 
 
 class MavProxy(Operated):
@@ -56,19 +59,40 @@ class MavProxy(Operated):
         await self.type("mode auto", answer="Mode AUTO")
 
     async def release(self, gate: Step, item: int) -> bool:
-        await self.type(f"wp set {item}", answer="Got COMMAND_ACK: DO_SET_MISSION_CURRENT: ACCEPTED")
+        """Type `wp set` until it is seen to have worked: on a busy machine packets of either way are lost."""
+        before = len(self.lines)
+        while not self._went_on(item, before):
+            with suppress(TimeoutError):
+                await asyncio.wait_for(self._set_current(item, before), RETYPE_S)
         return True
+
+    async def _set_current(self, item: int, since: int) -> None:
+        self._write(f"wp set {item}")
+        await self._until(lambda: self._went_on(item, since))
+
+    def _went_on(self, item: int, since: int) -> bool:
+        """Return whether the vehicle has said that it took the item, or is seen to be there or beyond."""
+        numbers = (_CURRENT_ITEM.search(line) for line in self.lines[since:])
+        return any(_ITEM_TAKEN in line for line in self.lines[since:]) or any(
+            int(number[1]) >= item for number in numbers if number is not None
+        )
 
     async def type(self, command: str, answer: str) -> None:
         """Type a command, and wait for what MAVProxy prints when it is done."""
         before = len(self.lines)
-        assert self._process.stdin is not None
-        self._process.stdin.write(f"{command}\n".encode())
+        self._write(command)
         await self.heard(answer, before)
 
     async def heard(self, text: str, since: int = 0) -> None:
         """Wait for a line with that text."""
-        while not any(text in line for line in self.lines[since:]):
+        await self._until(lambda: any(text in line for line in self.lines[since:]))
+
+    def _write(self, command: str) -> None:
+        assert self._process.stdin is not None
+        self._process.stdin.write(f"{command}\n".encode())
+
+    async def _until(self, seen: Callable[[], bool]) -> None:
+        while not seen():
             self._news.clear()
             await self._news.wait()
 
