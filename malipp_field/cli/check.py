@@ -54,18 +54,22 @@ def check(
         raise typer.Exit(INPUT_ERROR)
 
 
-def show_faults(mission: Mission, plan: Plan, start_s: float | None = None) -> bool:
+def show_faults(mission: Mission, plan: Plan, start_s: float | None = None, *, fence: bool = True) -> bool:
     """Say on stderr what is wrong with the missions of a plan; return whether they must not be uploaded.
 
-    What only concerns a link is left out: nothing is sent to a vehicle of the user's.
+    What only concerns a link is left out: nothing is sent to a vehicle of the user's; and where no fence is
+    sent, how large it is.
     """
     from malipp_field.cli.display import err
     from malipp_field.vehicle.check import check as find
+    from malipp_field.vehicle.check_fence import OF_FENCE
+
+    unsaid = _OF_LINKS if fence else _OF_LINKS | OF_FENCE
 
     findings = [
         finding
         for finding in find(mission, plan, start_s)
-        if finding.severity != "note" and finding.rule not in _OF_LINKS
+        if finding.severity != "note" and finding.rule not in unsaid
     ]
     print_findings(findings, err)
     return has_errors(findings)

@@ -52,7 +52,7 @@ def run(
     write_plan(found, output / "plan.json")
     show_plan(mission, found)
     stop_without_routes(found)
-    if show_faults(mission, found, WallClock().now_s()):
+    if show_faults(mission, found, WallClock().now_s(), fence=False):
         raise PlanError("the missions of the plan are not to be uploaded")
     if not whole_run(mission, mission_file, found, output, speed, listen):
         raise typer.Exit(INCOMPLETE)

@@ -64,7 +64,7 @@ def upload(
     wanted = _wanted(mission, missions, _chosen(mission_file, mission, robot), fence=fence)
     keepers = [name for name in wanted if missions[name].keeps_time]
     mission = _linked(mission_file, mission, wanted, link, needed=not dry_run)
-    if show_faults(mission, plan, start):
+    if show_faults(mission, plan, start, fence=fence):
         raise InputError(str(plan_file), None, "", "nothing is sent: see the errors above")
     if keepers and start is not None:
         _refuse_past(start, keepers)

@@ -15,12 +15,11 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from malipp_field.sim.items import RefusedItemError, item_of, polygons_are_whole, stored
+from malipp_field.vehicle.fence import MAX_FENCE_ITEMS
 from malipp_field.vehicle.items import MissionItem
 
 MAX_ITEMS = 655
 """With home; `AP_Mission` has room for no more on the boards Rover is run on."""
-MAX_FENCE = 255
-MAX_RALLY = 20
 REPEAT_S = 1.0
 GIVE_UP_S = 8.0
 
@@ -219,7 +218,7 @@ class FenceStore(MissionStore):
     """A fence, which ArduPilot takes over only when it is whole and makes sense, unlike the other types."""
 
     def __init__(self) -> None:
-        super().__init__(mavlink.MAV_MISSION_TYPE_FENCE, max_items=MAX_FENCE)
+        super().__init__(mavlink.MAV_MISSION_TYPE_FENCE, max_items=MAX_FENCE_ITEMS)
         self._incoming: list[MissionItem] = []
 
     def _make_room(self, _count: int) -> None:

@@ -10,10 +10,11 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from malipp_field.sim.autopilot import Autopilot, RoverConfig
 from malipp_field.sim.failsafe import GcsFailsafe
-from malipp_field.sim.mission_store import MAX_RALLY, FenceStore, MissionStore, Sender
+from malipp_field.sim.mission_store import FenceStore, MissionStore, Sender
 from malipp_field.sim.params import Parameters
 from malipp_field.sim.telemetry import Telemetry
 from malipp_field.sim.world import World
+from malipp_field.vehicle.fence import MAX_RALLY_POINTS
 from malipp_field.vehicle.payload_protocol import ack_name
 
 Peer = Hashable
@@ -73,7 +74,9 @@ class Rover:
         self._stores = {
             mavlink.MAV_MISSION_TYPE_MISSION: self.autopilot.store,
             mavlink.MAV_MISSION_TYPE_FENCE: FenceStore(),
-            mavlink.MAV_MISSION_TYPE_RALLY: MissionStore(mavlink.MAV_MISSION_TYPE_RALLY, max_items=MAX_RALLY),
+            mavlink.MAV_MISSION_TYPE_RALLY: MissionStore(
+                mavlink.MAV_MISSION_TYPE_RALLY, max_items=MAX_RALLY_POINTS
+            ),
         }
         self.peers: dict[Sender, Peer] = {}
 

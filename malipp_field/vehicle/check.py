@@ -1,7 +1,7 @@
 """The check before an upload: what would go wrong on this vehicle with this firmware.
 
-Pure: nothing is read, nothing is sent. The rules are in `check_items` (the firmware), `check_way` (fence and
-keep-outs), `check_energy`, `check_times` and `check_team`.
+Pure: nothing is read, nothing is sent. The rules are in `check_items` (the firmware), `check_fence` (what of
+the fence is stored), `check_way` (fence and keep-outs), `check_energy`, `check_times` and `check_team`.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from malipp_field.mission import Mission, Passage, TeamState, drives_alike, pass
 from malipp_field.mission.vehicles import VehicleSettings
 from malipp_field.plan import Plan, RobotPlan
 from malipp_field.vehicle.check_energy import Roads, energy_findings, length_findings
+from malipp_field.vehicle.check_fence import fence_findings
 from malipp_field.vehicle.check_items import item_findings, time_of_day
 from malipp_field.vehicle.check_team import team_findings
 from malipp_field.vehicle.check_times import gate_findings, hold_findings, service_findings
@@ -58,7 +59,7 @@ def check(
     """
     compiled = compile_plan(mission, plan, custody, start_s)
     times = {} if start_s is None else gate_times(mission, plan)
-    found = list(team_findings(mission))
+    found = [*team_findings(mission), *fence_findings(mission)]
     for group in drives_alike(mission):
         drivable = passages(mission, group[0])
         for route in plan.robots:

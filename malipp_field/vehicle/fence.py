@@ -7,6 +7,7 @@ that also says how many corners its polygon has, so that polygons follow one ano
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from typing import NamedTuple
 
 from shapely import Polygon
 
@@ -24,6 +25,34 @@ from malipp_field.vehicle.items import (
 
 MAX_CORNERS = 255
 """Corners of one polygon: ArduPilot keeps their number in a byte."""
+MAX_FENCE_ITEMS = 255
+"""Corners of all polygons: no board stores more (ArduPilot, `AC_PolyFence_loader::max_items`), and one with
+little storage stores fewer, and then refuses them on upload."""
+MAX_RALLY_POINTS = 20
+"""For so many rally points ArduPilot Rover has storage on the boards it is run on."""
+
+
+class FencePolygon(NamedTuple):
+    """A polygon of the fence, by the name it has in the mission file, and the command of its corners."""
+
+    name: str
+    command: int
+    corners: list[tuple[float, float]]
+
+
+def fence_polygons(mission: Mission) -> list[FencePolygon]:
+    """Return a site's outline and its keep-outs, in metres; the rings are not closed."""
+    outline = fence_polygon(mission)
+    found = []
+    if outline is not None:
+        found.append(_polygon("site.fence", MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION, outline))
+    for name, polygon in keep_out_polygons(mission).items():
+        found.append(_polygon(f"keep-out '{name}'", MAV_CMD_NAV_FENCE_POLYGON_VERTEX_EXCLUSION, polygon))
+    return found
+
+
+def _polygon(name: str, command: int, polygon: Polygon) -> FencePolygon:
+    return FencePolygon(name, command, [(x_m, y_m) for x_m, y_m in polygon.exterior.coords[:-1]])
 
 
 def fence_items(mission: Mission, origin: Origin) -> list[MissionItem]:
@@ -36,15 +65,7 @@ def fence_items(mission: Mission, origin: Origin) -> list[MissionItem]:
     PlanError
         When a polygon has more corners than ArduPilot stores.
     """
-    outline = fence_polygon(mission)
-    polygons = (
-        [] if outline is None else [("site.fence", MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION, outline)]
-    )
-    for name, polygon in keep_out_polygons(mission).items():
-        polygons.append((f"keep-out '{name}'", MAV_CMD_NAV_FENCE_POLYGON_VERTEX_EXCLUSION, polygon))
-    return _numbered(
-        item for name, command, polygon in polygons for item in _corners(name, command, polygon, origin)
-    )
+    return _numbered(item for polygon in fence_polygons(mission) for item in _corners(polygon, origin))
 
 
 def rally_items(mission: Mission, origin: Origin, robot: str) -> list[MissionItem]:
@@ -56,8 +77,8 @@ def rally_items(mission: Mission, origin: Origin, robot: str) -> list[MissionIte
     )
 
 
-def _corners(name: str, command: int, polygon: Polygon, origin: Origin) -> Iterator[MissionItem]:
-    corners = polygon.exterior.coords[:-1]  # the ring is not closed
+def _corners(polygon: FencePolygon, origin: Origin) -> Iterator[MissionItem]:
+    name, command, corners = polygon
     if len(corners) > MAX_CORNERS:
         raise PlanError(f"{name} has {len(corners)} corners; ArduPilot stores at most {MAX_CORNERS}")
     for x_m, y_m in corners:

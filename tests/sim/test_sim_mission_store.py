@@ -12,7 +12,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from sim_cases import ground_for, item_int, numbered, of, site, waypoint
 
 from malipp_field.sim import RoverConfig
-from malipp_field.sim.mission_store import MAX_ITEMS, MAX_RALLY, FenceStore, MissionStore, Sender
+from malipp_field.sim.mission_store import MAX_ITEMS, FenceStore, MissionStore, Sender
+from malipp_field.vehicle.fence import MAX_RALLY_POINTS
 from malipp_field.vehicle.items import MissionItem
 
 US = Sender(255, 190)
@@ -172,7 +173,7 @@ def test_how_many_items_there_is_room_for_may_be_configured() -> None:
 
 
 def test_rally_points_come_back_as_they_were_sent_but_for_whole_metres_of_height() -> None:
-    store = MissionStore(mavlink.MAV_MISSION_TYPE_RALLY, max_items=MAX_RALLY)
+    store = MissionStore(mavlink.MAV_MISSION_TYPE_RALLY, max_items=MAX_RALLY_POINTS)
     point = mission(1)[0]._replace(command=mavlink.MAV_CMD_NAV_RALLY_POINT, z=3.9)
     assert results(upload_typed(store, [point], 2)) == [mavlink.MAV_MISSION_ACCEPTED]
     assert store.items == [point._replace(z=3.0)]

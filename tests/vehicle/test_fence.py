@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import pytest
+from check_cases import changed
+from vehicle_cases import handoff_plan, small_mission
 
 from malipp_field.errors import PlanError
 from malipp_field.mission import Mission, parse_mission, to_local
-from malipp_field.vehicle.fence import MAX_CORNERS, fence_items, rally_items
+from malipp_field.vehicle.check import check
+from malipp_field.vehicle.check_fence import OF_FENCE
+from malipp_field.vehicle.fence import MAX_CORNERS, MAX_RALLY_POINTS, fence_items, rally_items
+from malipp_field.vehicle.finding import Finding
 
 TEXT = """
 format: malipp-mission/1
@@ -79,3 +84,53 @@ def test_a_polygon_with_more_corners_than_fit_is_refused() -> None:
     assert mission.site.origin is not None
     with pytest.raises(PlanError, match=r"site.fence has \d+ corners; ArduPilot stores at most 255"):
         fence_items(mission, mission.site.origin)
+
+
+def ring(corners: int) -> list[dict[str, float]]:
+    """Return a polygon round every node, with so many corners."""
+    top = [{"x_m": -5.0 + 65.0 * k / (corners - 2), "y_m": 50.0} for k in range(corners - 1, 0, -1)]
+    return [{"x_m": -5.0, "y_m": -5.0}, {"x_m": 70.0, "y_m": -5.0}, *top][:corners]
+
+
+def findings(**site: object) -> list[Finding]:
+    mission = changed(small_mission(), site=site)
+    return [found for found in check(mission, handoff_plan()) if found.rule in OF_FENCE]
+
+
+def test_a_fence_that_just_fits_is_not_found() -> None:
+    keep_outs = [{"id": "sump", "polygon": ring(3)}]
+    assert findings(fence=ring(252), keep_outs=keep_outs) == []
+    assert findings(fence=ring(MAX_CORNERS), keep_outs=[]) == []
+
+
+def test_a_polygon_with_too_many_corners_is_named() -> None:
+    (found,) = findings(fence=None, keep_outs=[{"id": "sump", "polygon": ring(258)}])
+    assert (found.severity, found.rule, found.where) == ("error", "fence-too-large", "keep-out 'sump'")
+    assert "258 corners" in found.problem
+    assert found.remedy.startswith("leave out 3 of them")
+
+
+def test_polygons_that_are_too_many_together_are_named() -> None:
+    keep_outs = [{"id": "sump", "polygon": ring(200)}, {"id": "pond", "polygon": ring(40)}]
+    (found,) = findings(fence=ring(20), keep_outs=keep_outs)
+    assert found.where == "site.fence, keep-out 'sump', keep-out 'pond'"
+    assert "260 corners in all" in found.problem
+    assert found.remedy.startswith("leave out 5 of them, first of keep-out 'sump' (200)")
+
+
+def test_more_depots_than_rally_points_are_found_robot_by_robot() -> None:
+    record = small_mission().model_dump(mode="json", by_alias=True, exclude_none=True)
+    more = [f"camp{k}" for k in range(MAX_RALLY_POINTS)]
+    nodes = [
+        *record["site"]["nodes"],
+        *({"id": name, "x_m": 0.0, "y_m": 0.0, "role": "depot"} for name in more),
+    ]
+    robots = record["team"]["robots"]
+    first, *others = robots
+    kept = first["depots"][:1]
+    team = {"robots": [{**first, "depots": [*kept, *more]}, *others]}
+    mission = changed(small_mission(), site={"nodes": nodes}, team=team)
+    (found,) = [found for found in check(mission, handoff_plan()) if found.rule in OF_FENCE]
+    assert (found.severity, found.rule, found.robot) == ("error", "rally-too-many", first["id"])
+    assert "21 depots" in found.problem
+    assert "leave out 1 of its depots (such as camp19)" in found.remedy
