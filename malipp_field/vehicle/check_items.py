@@ -309,7 +309,7 @@ def _output(item: MissionItem, spot: Spot) -> Iterator[Finding]:
         elif first in _DRIVEN_BY:
             yield spot.warning(
                 "output-in-use",
-                f"servo channel {first:g} is {_DRIVEN_BY[int(first)]} on a Rover by default, and then not moved",
+                f"servo channel {first:g} is {_DRIVEN_BY[int(first)]} by default, and then not moved",
                 f"use a free channel, or set SERVO{first:g}_FUNCTION to 0 where nothing is driven by it",
             )
     if item.command == codes.MAV_CMD_DO_SET_RELAY:
