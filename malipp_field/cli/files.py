@@ -24,10 +24,11 @@ PlanFile = Annotated[Path, typer.Argument(metavar="PLAN", help="Plan file (malip
 def verified(mission_file: Path, plan_file: Path) -> tuple[Mission, Plan]:
     """Read a mission and a plan of it, and let no plan pass that breaks a rule; raises `InputError`."""
     from malipp_field.mission import read_mission
-    from malipp_field.plan import read_plan
+    from malipp_field.plan import read_plan_of
     from malipp_field.planner import check
 
-    mission, found = read_mission(mission_file), read_plan(plan_file)
+    mission = read_mission(mission_file)
+    found = read_plan_of(mission, plan_file)
     try:
         check(mission, found)
     except PlanError as fault:

@@ -123,10 +123,11 @@ def verify(mission_file: MissionFile, plan_file: PlanFile) -> None:
     Exit status: 0 when every rule is kept, 2 when not, 3 or 4 for a plan file that says why there is no plan.
     """
     from malipp_field.mission import read_mission
-    from malipp_field.plan import read_plan
+    from malipp_field.plan import read_plan_of
     from malipp_field.planner import verify as find_violations
 
-    mission, candidate = read_mission(mission_file), read_plan(plan_file)
+    mission = read_mission(mission_file)
+    candidate = read_plan_of(mission, plan_file)
     violations = find_violations(mission, candidate)
     for violation in violations:
         typer.echo(f"{plan_file}: {violation}", err=True)

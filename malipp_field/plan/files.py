@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from malipp_field.documents import parse_document, read_document, whole_file
+from malipp_field.documents import ContentError, parse_document, read_document, whole_file
+from malipp_field.mission import Mission
+from malipp_field.plan.names import check_names
 from malipp_field.plan.schema import Plan, Stop
 
 _ALWAYS_WRITTEN_LATER = ("collect", "drop", "pick", "unload")
@@ -14,6 +16,17 @@ _ALWAYS_WRITTEN_LATER = ("collect", "drop", "pick", "unload")
 def read_plan(path: Path) -> Plan:
     """Read a plan file; raises `InputError` with file, line and key."""
     return read_document(path).validate(Plan)
+
+
+def read_plan_of(mission: Mission, path: Path) -> Plan:
+    """Read a plan file of that mission; raises `InputError` for a name the mission does not have, too."""
+    document = read_document(path)
+    plan = document.validate(Plan)
+    try:
+        check_names(plan, mission)
+    except ContentError as fault:
+        raise document.error(fault.location, fault.problem) from None
+    return plan
 
 
 def parse_plan(text: str, source: str = "plan") -> Plan:

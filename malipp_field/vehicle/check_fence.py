@@ -33,7 +33,7 @@ def fence_findings(mission: Mission) -> Iterator[Finding]:
         yield Spot(where=", ".join(corners)).error(
             "fence-too-large",
             f"{sum(corners.values())} corners in all; ArduPilot stores at most {MAX_FENCE_ITEMS}",
-            f"leave out {surplus} of them, first of {largest} ({corners[largest]}), or use --no-fence",
+            f"leave out {surplus}, first of {largest} ({corners[largest]}), or upload with --no-fence",
         )
     for robot in mission.team.robots:
         beyond = robot.depots[MAX_RALLY_POINTS:]

@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from malipp_field.errors import InputError
+from malipp_field.mission import parse_mission
 from malipp_field.plan import (
     Bound,
     Objective,
@@ -19,6 +20,7 @@ from malipp_field.plan import (
     parse_plan,
     plan_text,
     read_plan,
+    read_plan_of,
     write_plan,
 )
 
@@ -148,3 +150,55 @@ def test_a_route_has_a_start() -> None:
     start = EXAMPLE.index('[\n    {"node"')
     with pytest.raises(InputError, match=r"robots\[0\]\.route: .*at least 1 item"):
         parse_plan(EXAMPLE[:start] + "[]}]}")
+
+
+MISSION = parse_mission("""\
+format: malipp-mission/1
+name: quarry
+site:
+  nodes:
+    - {id: base, x_m: 0.0, y_m: 0.0, role: depot}
+    - {id: h1, x_m: 6.0, y_m: 0.0, role: via}
+    - {id: a1, x_m: 12.0, y_m: 0.0}
+  edges: [{from: base, to: h1}, {from: h1, to: a1}]
+field:
+  kernel: {family: rbf, length_scale_m: 20.0}
+  test_points: [{x_m: 12.0, y_m: 5.0}]
+team:
+  sample_mass_kg: 1.0
+  robots:
+    - {id: scout, start: base, depots: [base], empty_mass_kg: 10.0, energy_budget_j: 2000.0,
+       payload_capacity: 2, samples_per_node: 1, noise_variance: 0.1, energy_per_kg_m: 1.0, speed_m_s: 1.0}
+    - {id: carrier, start: base, depots: [base], empty_mass_kg: 10.0, energy_budget_j: 2000.0,
+       payload_capacity: 2, samples_per_node: 1, noise_variance: 0.1, energy_per_kg_m: 1.0, speed_m_s: 1.0}
+""")
+
+
+def test_a_plan_of_that_mission_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "plan.json"
+    path.write_text(EXAMPLE)
+    assert read_plan_of(MISSION, path) == parse_plan(EXAMPLE)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line", "key", "words"),
+    [
+        ('"quarry"', '"query"', 1, "mission", "a plan of mission 'query'; the mission is 'quarry'"),
+        ('"id": "scout"', '"id": "scot"', 5, "robots[0].id", "no robot 'scot'; did you mean 'scout'?"),
+        ('{"node": "a1"', '{"node": "a11"', 7, "robots[0].route[1].node", "no node 'a11'; did you mean"),
+        ('["base", "h1"', '["base", "h12"', 7, "robots[0].route[1].path[1]", "no node 'h12'; did you mean"),
+        ('{"carrier": 1}', '{"carier": 1}', 8, "robots[0].route[1].drop.carier", "mean 'carrier'?"),
+        ('"pick": {}, "unload": 0, "payload": 0},', '"pick": {"scotty": 1}, "unload": 0, "payload": 0},',
+         8, "robots[0].route[1].pick.scotty", "no robot 'scotty'; did you mean 'scout'?"),
+    ],
+)  # fmt: skip
+def test_a_name_the_mission_does_not_have(
+    tmp_path: Path, old: str, new: str, line: int, key: str, words: str
+) -> None:
+    assert EXAMPLE.count(old) == 1
+    path = tmp_path / "plan.json"
+    path.write_text(EXAMPLE.replace(old, new))
+    with pytest.raises(InputError) as fault:
+        read_plan_of(MISSION, path)
+    assert str(fault.value).startswith(f"{path}:{line}: {key}: ")
+    assert words in str(fault.value)

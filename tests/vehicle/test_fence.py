@@ -115,7 +115,7 @@ def test_polygons_that_are_too_many_together_are_named() -> None:
     (found,) = findings(fence=ring(20), keep_outs=keep_outs)
     assert found.where == "site.fence, keep-out 'sump', keep-out 'pond'"
     assert "260 corners in all" in found.problem
-    assert found.remedy.startswith("leave out 5 of them, first of keep-out 'sump' (200)")
+    assert found.remedy.startswith("leave out 5, first of keep-out 'sump' (200)")
 
 
 def test_more_depots_than_rally_points_are_found_robot_by_robot() -> None:
