@@ -1,9 +1,13 @@
 """Replacing the mission of a vehicle under way without stopping it, where that is provably safe.
 
-An ArduPilot keeps the item it carries out in memory: an upload changes nothing until that item ends, or until
-another is made current. So a vehicle may go on along a leg while the mission behind it is replaced, if it is
-certain to stand still before the end of that leg whenever the replacement is not complete and verified by
-then. Two things make it certain:
+An upload is not atomic, and a Rover that drives does not wait for its end: each time it sees the stored
+items from the current one on changed, it begins the item stored at the current number anew
+(`AP_Mission_ChangeDetector`). So a vehicle may go on along a leg while its mission is replaced if two
+things hold. At the current number the same leg is stored all the time: it has that number in both missions
+(whoever calls sees to it), an item is overwritten by itself alone, and the count, which cuts the mission
+off as it arrives, is never below it. Begun anew, the leg is the same from where the vehicle is. And the
+vehicle is certain to stand still before the end of that leg whenever the replacement is not complete and
+verified by then:
 
 - At a deadline, and at any failure before it, the vehicle is ordered to hold, and our heartbeats stop until
   it is seen to do so.
@@ -154,8 +158,8 @@ async def replace_under_way(
 ) -> None:
     """Put a mission on a vehicle that drives, read it back, and make ``item`` current, all by the deadline.
 
-    ``item`` is the leg it drives. Should this fail or be cancelled, our heartbeats have stopped, and whoever
-    called must hold the vehicle at once.
+    ``item`` is the leg it drives, and its number in the mission on board as well. Should this fail or be
+    cancelled, our heartbeats have stopped, and whoever called must hold the vehicle at once.
 
     Raises
     ------

@@ -11,7 +11,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from malipp_field.mission.vehicles import ByHand
 from malipp_field.sim.activities import Activity, Do, InTurn, Pause
-from malipp_field.sim.items import NAVIGATION
+from malipp_field.sim.change_detector import ChangeDetector
+from malipp_field.sim.items import NAVIGATION, WITH_POSITION
 from malipp_field.sim.mission_run import MissionRun, RunState
 from malipp_field.sim.mission_store import MAX_ITEMS, MissionStore
 from malipp_field.sim.motion import Leg, Position
@@ -107,6 +108,7 @@ class Autopilot:
         self.script = PayloadScript(self.robot.id, self._world)
         self.outputs = Outputs(self.robot.id, self._world, self.parameters)
         self.run = MissionRun(self.store, self._begin, self._perform, self._completed)
+        self._changes = ChangeDetector(self.store)
         self._energy_at_boot_j = self.energy_used_j
         self._activity: Activity | None = None
         self._leg: Leg | None = None
@@ -126,7 +128,9 @@ class Autopilot:
     @property
     def speed_m_s(self) -> float:
         """Speed over ground."""
-        return self._leg.speed_m_s if self._leg is not None and self._active and not self.stranded else 0.0
+        if self._leg is None or self.stranded or not (self.armed and self._active):
+            return 0.0
+        return self._leg.speed_m_s
 
     def ready_to_arm(self) -> bool:
         """Return whether the position estimate is good."""
@@ -178,6 +182,7 @@ class Autopilot:
         self._activity = self._leg = None
         if mode == mavlink.ROVER_MODE_AUTO:
             self._was_in_auto = True
+            self._changes.forget()
             self.run.start_or_resume(restart=self.parameters["MIS_RESTART"] == 1)
         return True
 
@@ -191,6 +196,8 @@ class Autopilot:
 
     def advance(self, now_s: float) -> None:
         """Live until ``now_s``, however far away that is."""
+        if self._active:
+            self._look_for_changes()
         while self._active and self._activity is not None and self._time_s < now_s:
             left_s = self._activity.advance(now_s - self._time_s)
             if left_s is None:
@@ -223,8 +230,16 @@ class Autopilot:
 
     @property
     def _active(self) -> bool:
-        """Whether the mission goes on: disarmed it does not, nor in any other mode."""
-        return self.armed and self.mode == mavlink.ROVER_MODE_AUTO and not self.hung
+        """Whether the mission goes on: armed or not, but only in AUTO."""
+        return self.mode == mavlink.ROVER_MODE_AUTO and not self.hung
+
+    def _look_for_changes(self) -> None:
+        """Begin the present leg anew, out of what is stored by now, when the mission has changed ahead."""
+        if not self._changes.look(self.run.seq) or self.run.state is not RunState.RUNNING:
+            return
+        if self.run.active is not None and self.run.active.command in WITH_POSITION:
+            what = ", restarted" if self.run.set_current(self.run.seq) else " but failed to restart"
+            self.say(mavlink.MAV_SEVERITY_CRITICAL, f"Auto mission changed{what} command")
 
     def _item_ended(self) -> None:
         self._activity = self._leg = None
@@ -324,7 +339,7 @@ class Autopilot:
 
 
 class _Travel:
-    """Driving straight to a place."""
+    """Driving straight to a place; disarmed the rover does not get there, even where it is there already."""
 
     def __init__(self, autopilot: Autopilot, target: Position) -> None:
         self._autopilot = autopilot
@@ -333,6 +348,8 @@ class _Travel:
 
     def advance(self, duration_s: float) -> float | None:
         """See `Activity`."""
+        if not self._autopilot.armed:
+            return None
         if self._leg is None:
             self._leg = self._autopilot.leg_to(self._target)
         return self._autopilot.drive(self._leg, duration_s)

@@ -61,11 +61,12 @@ _STORED: dict[int, tuple[Cut, Cut, Cut, Cut]] = {
     mavlink.MAV_CMD_DO_WINCH: (_uint8, _uint8, _single, _single),
 }
 
-_WITH_POSITION = {
+WITH_POSITION = {
     mavlink.MAV_CMD_NAV_WAYPOINT, mavlink.MAV_CMD_NAV_LOITER_UNLIM, mavlink.MAV_CMD_NAV_LOITER_TIME,
 }  # fmt: skip
+"""Commands that drive to a place of their own."""
 
-NAVIGATION = _WITH_POSITION | {
+NAVIGATION = WITH_POSITION | {
     mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH, mavlink.MAV_CMD_NAV_DELAY, mavlink.MAV_CMD_NAV_SCRIPT_TIME,
 }  # fmt: skip
 """Commands that last: the mission waits for each to end. All others are done at once, in passing."""
@@ -119,7 +120,7 @@ def item_of(message: Any) -> MissionItem:
         When x or y is no number, or no place on earth.
     """
     legacy = isinstance(message, mavlink.MAVLink_mission_item_message)
-    raw = message.command in _STORED and message.command not in _WITH_POSITION
+    raw = message.command in _STORED and message.command not in WITH_POSITION
     scale = 1e7 if legacy and not raw else 1.0
     for value, refusal in (
         (message.x, mavlink.MAV_MISSION_INVALID_PARAM5_X), (message.y, mavlink.MAV_MISSION_INVALID_PARAM6_Y)
@@ -195,7 +196,7 @@ def _stored_place(item: MissionItem) -> tuple[int, int, int, float]:
     """Return frame, x, y and z as they are kept."""
     if item.command == mavlink.MAV_CMD_NAV_SCRIPT_TIME:
         return mavlink.MAV_FRAME_GLOBAL, _int16(item.x), _int16(item.y), 0.0
-    if item.command not in _WITH_POSITION:
+    if item.command not in WITH_POSITION:
         return mavlink.MAV_FRAME_GLOBAL, 0, 0, 0.0
     return _place_on_earth(item)
 

@@ -1,10 +1,11 @@
 """Which item of the stored mission is carried out, as ArduPilot's `AP_Mission` keeps track of it.
 
-Its ways that matter to safety are kept: the active item is a copy in memory, so a new upload changes nothing
-until that item ends or another is made current; a stale number beyond the end completes the mission; and a
-completed mission stays completed in AUTO until an item is made current *and* the mission resumed. DO commands
-are done together with the navigation item that follows them, and only that is ever the current one; of those
-after the last navigation item just the first is done.
+Its ways that matter to safety are kept: the active item is a copy in memory, so of itself a new upload
+changes nothing until that item ends or another is made current (in AUTO the autopilot may begin it anew,
+see `ChangeDetector`); a stale number beyond the end completes the mission; and a completed mission stays
+completed in AUTO until an item is made current *and* the mission resumed. DO commands are done together
+with the navigation item that follows them, and only that is ever the current one; of those after the last
+navigation item just the first is done.
 """
 
 from __future__ import annotations

@@ -66,7 +66,7 @@ def gate_findings(
         return
     by_script = isinstance(vehicle.payload.pick, ByScript)
     for index, step in gates:
-        spot = Spot(vehicle.robot, layout.first_item(index), f"gate at {step.node}")
+        spot = Spot(vehicle.robot, layout.last_item(index), f"gate at {step.node}")
         if step.not_before_s is not None:
             comes_s = start_s + times[vehicle.robot, step.stop].comes_s
             yield from _gate(spot, step.not_before_s, start_s, comes_s, by_script=by_script)

@@ -1,6 +1,7 @@
 """Steps as the MAVLink items that a vehicle with its payload hardware carries out.
 
-Item 0 is home, and item 1 never a DO command. A drive is one waypoint. An action by the payload script is one
+Item 0 is home, and item 1 always a waypoint: AUTO is entered once before the vehicle is armed, and there a
+Rover carries out whatever is no drive. A drive is one waypoint. An action by the payload script is one
 NAV_SCRIPT_TIME; by a servo, relay or gripper it is a DO command and a NAV_DELAY that gives it time (DO
 commands end at once); by a person it is a NAV_LOITER_UNLIM, which ends when the ground makes the next item
 current.
@@ -81,9 +82,7 @@ def lay_out(vehicle: VehicleMission) -> Layout:
     items, steps = [_home_item(vehicle.home)], [-1]
     for index, step in enumerate(vehicle.steps):
         for item in _items(vehicle, step):
-            if len(items) == 1 and item.command in IN_PASSING:
-                # AUTO is entered once before the vehicle is armed and the first item made current: what is
-                # done in passing would be done twice.
+            if len(items) == 1 and item.command != MAV_CMD_NAV_WAYPOINT:
                 items.append(_waypoint(step)._replace(seq=1))
                 steps.append(index)
             items.append(item._replace(seq=len(items)))

@@ -10,6 +10,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from malipp_field.bus.messages import Load, Start
 from malipp_field.link.compare import differences
+from malipp_field.vehicle.items import MAV_CMD_NAV_WAYPOINT as WAYPOINT
 from malipp_field.vehicle.items import MissionItem
 from malipp_field.vehicle.layout import lay_out
 from malipp_field.vehicle.steps import VehicleMission
@@ -52,8 +53,10 @@ class GuardedYard(Yard):
         run._begin = self._begin
 
     def _begin(self, item: MissionItem) -> None:
+        # A rover begins its leg anew when it sees the mission change ahead, in the middle of an upload too.
+        if not (self.begun and item == self.begun[-1] and self.driving() and item.command == WAYPOINT):
+            assert self.aboard() is not None, f"item {item.seq} was begun while the mission was a mixture"
         self.begun.append(item)
-        assert self.aboard() is not None, f"item {item.seq} was begun while the mission was a mixture"
         self._honest(item)
 
     def aboard(self) -> tuple[str, ...] | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import pytest
-from agent_cases import STOP, mode_of
+from agent_cases import STOP, Yard, mode_of
 from fault_cases import ALL_DONE, GUARDED, NEW, GuardedYard
 from link_cases import SYSTEM, framed
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -38,6 +38,8 @@ def test_a_vehicle_on_a_leg_of_both_missions_is_not_stopped(loss: float) -> None
         reply = await yard.order(Load(mission=yard.new(), resume=True))
         assert reply.text == "version 2 is on board and verified; the vehicle was not stopped for it"
         assert not held_since(yard, began_s)
+        assert len(yard.begun) > 2  # begun, begun anew as the mission changed under it, and made current
+        assert {item[2:] for item in yard.begun} == {yard.begun[0][2:]}
         assert yard.aboard() == NEW
         assert (yard.telemetry.mission_version, yard.telemetry.step_uid) == (2, "drive a")
         await yard.until(lambda: yard.telemetry.finished, limit_s=600.0)
@@ -98,6 +100,36 @@ def test_a_leg_that_has_another_number_in_the_new_mission_is_held() -> None:
     yard = GuardedYard(seed=1, **GUARDED)
     yard.aboard = lambda: ("any",)  # type: ignore[method-assign]
     yard.run(scene)
+
+
+def test_a_mission_that_begins_with_work_does_nothing_before_the_vehicle_is_armed() -> None:
+    work = ("collect a 1", "drive base", "unload base 1")
+
+    async def scene(yard: Yard) -> None:
+        pilot = yard.rover.autopilot
+        pilot.position = yard.world.places["a"]
+        arm, refusals = pilot.arm, 0
+
+        def refuse(force: bool = False) -> bool:
+            nonlocal refusals
+            refusals += 1
+            return False
+
+        pilot.arm = refuse  # type: ignore[method-assign]
+        assert (await yard.order(Load(mission=yard.mission(*work)))).ok
+        start = yard.begin(Start())
+        await yard.until(lambda: pilot.mode == AUTO, limit_s=60.0)
+        await yard.until(start.done)
+        assert (start.result().ok, refusals > 0, pilot.armed) == (False, True, False)
+        pilot.set_mode(AUTO)  # whoever sets it
+        await yard.live(20.0)
+        assert (yard.world.on_board("scout"), yard.confirmed, pilot.run.seq) == ([], [], 1)
+        pilot.arm = arm  # type: ignore[method-assign]
+        assert (await yard.order(Start())).ok
+        await yard.until(lambda: yard.telemetry.finished)
+        assert [uid for _, uid, _ in yard.confirmed] == ["collect a 1", "unload base 1"]
+
+    Yard().run(scene)
 
 
 def test_near_the_end_of_its_leg_it_is_held() -> None:

@@ -107,11 +107,23 @@ def test_every_means_of_every_action(
 
 @pytest.mark.parametrize("if_missing", ["hold", "go_on"])
 def test_the_script_is_told_the_tag_and_what_to_do_without_it(if_missing: str) -> None:
-    (_, item) = laid_out(step(Action.PICK, tag=321, if_missing=if_missing)).items
+    (*_, item) = laid_out(step(Action.PICK, tag=321, if_missing=if_missing)).items
     assert (item.x, item.y) == (321, int(if_missing == "go_on"))
 
 
-def test_item_one_is_never_a_command_done_in_passing() -> None:
+@pytest.mark.parametrize("means", [ByScript(), ByHand(by="manual")])
+@pytest.mark.parametrize(
+    "first", [step(Action.PICK), step(Action.WAIT), step(Action.WAIT, not_before_s=MIDNIGHT_S)]
+)
+def test_item_one_is_always_a_waypoint_of_the_first_step(first: Step, means: Means) -> None:
+    layout = laid_out(first, step(Action.DRIVE, 2), payload=only(Action.PICK, means))
+    lead_in = layout.items[1]
+    assert (lead_in.command, lead_in.x, lead_in.y) == (WAYPOINT, 340000000, -1180000000)
+    assert [item.command for item in layout.items].count(WAYPOINT) == 3
+    assert layout.steps == [-1, 0, 0, 1]
+
+
+def test_before_a_command_done_in_passing_there_is_a_waypoint() -> None:
     profile = only(Action.COLLECT, ByServo(by="servo", channel=9, pwm_us=1900, duration_s=2.0))
     layout = laid_out(step(Action.COLLECT), payload=profile)
     assert in_short(layout.items)[1:] == [(WAYPOINT,), (SERVO, 9, 1900), (DELAY, 2, -1, -1, -1)]
@@ -120,8 +132,8 @@ def test_item_one_is_never_a_command_done_in_passing() -> None:
 
 
 def test_gates_of_the_script() -> None:
-    shut = laid_out(step(Action.WAIT)).items[1]
-    timed = laid_out(step(Action.WAIT, not_before_s=MIDNIGHT_S + 3601.0)).items[1]
+    shut = laid_out(step(Action.WAIT)).items[2]
+    timed = laid_out(step(Action.WAIT, not_before_s=MIDNIGHT_S + 3601.0)).items[2]
     assert (shut.command, shut.param1, shut.y) == (SCRIPT, 1.0, 0)
     assert (timed.command, timed.y) == (SCRIPT, gate_code(MIDNIGHT_S + 3604.0))
 
@@ -129,14 +141,14 @@ def test_gates_of_the_script() -> None:
 @pytest.mark.parametrize("pick", [ByHand(by="manual"), ByGripper(by="gripper", move="grab", duration_s=1.0)])
 def test_gates_without_a_script(pick: Means) -> None:
     profile = only(Action.PICK, pick)
-    shut = laid_out(step(Action.WAIT), payload=profile).items[1]
+    shut = laid_out(step(Action.WAIT), payload=profile).items[2]
     assert (shut.command, shut.x) == (LOITER, 340000000)
     for gate_s, params in (
         (MIDNIGHT_S + 3661.2, (-1, 1, 1, 2)),  # rounded up, never too early
         (MIDNIGHT_S, (-1, 0, 0, 0)),
         (MIDNIGHT_S - 0.5, (-1, 0, 0, 0)),
     ):
-        item = laid_out(step(Action.WAIT, not_before_s=gate_s), payload=profile).items[1]
+        item = laid_out(step(Action.WAIT, not_before_s=gate_s), payload=profile).items[2]
         assert (item.command, item.param1, item.param2, item.param3, item.param4) == (DELAY, *params)
 
 
@@ -176,7 +188,7 @@ def test_scripted_actions_tell_the_run_and_whether_to_go_on() -> None:
     steps = (step(Action.COLLECT), step(Action.WAIT), step(Action.PICK, if_missing="go_on"))
     untold = VehicleMission(robot="r", version=1, home=PLACE, steps=steps)
     for run, ys in ((0, [0, 0, 1]), (5, [10, 0, 11]), (MAX_RUN, [32766, 0, 32767])):
-        items = lay_out(untold.model_copy(update={"run": run})).items[1:]
+        items = lay_out(untold.model_copy(update={"run": run})).items[2:]
         assert [item.y for item in items] == ys
         assert [goes_on_without(item) for item in items] == [False, False, True]
 
