@@ -228,7 +228,7 @@ async def _look(
 ) -> dict[str, tuple[str, bool]]:
     """Return what each vehicle is doing and has on board, in words, and whether that is as wanted."""
     async with AsyncExitStack() as stack:
-        contacts = await _contacts(stack, mission, folder, robots)
+        contacts = await _contacts(stack, mission, folder, robots, only_looks=True)
         async with asyncio.TaskGroup() as group:
             looks = {
                 name: group.create_task(_look_at(contact, None if wanted is None else wanted[name]))
@@ -269,7 +269,7 @@ async def _look_at(contact: Contact, wanted: dict[MissionType, list[MissionItem]
 
 
 async def _contacts(
-    stack: AsyncExitStack, mission: Mission, folder: Path, robots: Iterable[str]
+    stack: AsyncExitStack, mission: Mission, folder: Path, robots: Iterable[str], *, only_looks: bool = False
 ) -> dict[str, Contact]:
     """Open the links of robots for as long as the stack lasts, and return who is at their ends."""
     from malipp_field.cli.display import err
@@ -287,8 +287,7 @@ async def _contacts(
         def tell(_severity: str, text: str, name: str = name) -> None:
             err.print(f"{name}: {text}", soft_wrap=True)
 
-        contact = Contact(
-            (where.system_id, where.component_id), partial(links.open, where, on_event=tell), clock, where.own
-        )
+        address, channel = (where.system_id, where.component_id), partial(links.open, where, on_event=tell)
+        contact = Contact(address, channel, clock, where.own, only_looks=only_looks)
         contacts[name] = await stack.enter_async_context(contact)
     return contacts

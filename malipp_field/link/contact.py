@@ -1,4 +1,4 @@
-"""One vehicle in reach of a command: its link, kept alive by heartbeats while the context lasts."""
+"""One vehicle in reach of a command: its link, kept alive while the context lasts."""
 
 from __future__ import annotations
 
@@ -54,6 +54,9 @@ class Contact:
         All waiting is done on it.
     own
         System and component id as whom we speak.
+    only_looks
+        Send no heartbeats. A vehicle that has heard some counts on more: left without, its ground station
+        failsafe would stop it for nothing but having been looked at.
 
     Attributes
     ----------
@@ -67,9 +70,11 @@ class Contact:
         open_channel: OpenChannel,
         clock: Clock,
         own: tuple[int, int] = (GROUND_SYSTEM, GROUND_COMPONENT),
+        *,
+        only_looks: bool = False,
     ) -> None:
         self.driver = Driver(Vehicle(*address), self._send, clock, own)
-        self._open_channel, self._clock = open_channel, clock
+        self._open_channel, self._clock, self._only_looks = open_channel, clock, only_looks
         self._channel: Channel | None = None
         self._work: asyncio.Task[None] | None = None
         self._beat_due_s = self._request_due_s = 0.0
@@ -97,14 +102,17 @@ class Contact:
             await self._clock.sleep(TICK_S)
 
     def _tick(self, now_s: float) -> None:
-        if now_s >= self._beat_due_s and self.driver.heartbeats.allowed(now_s):
+        beats = not self._only_looks and self.driver.heartbeats.allowed(now_s)
+        if beats and now_s >= self._beat_due_s:
             self._beat_due_s = now_s + HEARTBEAT_S
             self._send(
                 mavlink.MAVLink_heartbeat_message(
                     mavlink.MAV_TYPE_GCS, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, mavlink.MAV_STATE_ACTIVE, 3
                 )
             )
-        if self._unheard and now_s >= self._request_due_s and self.driver.vehicle.link_ok(now_s):
+        # Over UDP a vehicle answers only where it has heard from: whoever sends no heartbeats asks at once.
+        asks = self._only_looks or self.driver.vehicle.link_ok(now_s)
+        if self._unheard and asks and now_s >= self._request_due_s:
             self._request_due_s = now_s + STREAM_REQUEST_S
             for message_id in self._unheard:
                 self._send(
