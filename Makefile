@@ -37,9 +37,8 @@ lint: setup  ## ruff, mypy strict, import contracts
 	@$(BIN)/lint-imports --no-logo
 
 test: lint  ## lint, then all tests
-	@# Half as many workers again as there are cores: tests of links and vehicles wait more than they compute.
-	@# And byte code is kept, wherever that is switched off: workers and the processes of tests all load the same.
-	@PYTHONDONTWRITEBYTECODE= PYTEST_XDIST_AUTO_NUM_WORKERS=$$((3 * $$(getconf _NPROCESSORS_ONLN) / 2)) $(BIN)/pytest
+	@# Byte code is kept, wherever that is switched off: workers and the processes of tests all load the same.
+	@PYTHONDONTWRITEBYTECODE= $(BIN)/pytest
 
 bench: setup  ## measure planning (some 20 minutes); the results pages are in benchmarks/
 	@$(BIN)/python benchmarks/planning.py

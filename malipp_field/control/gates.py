@@ -93,9 +93,14 @@ class GateKeeper:
                 self._opening[robot] = asyncio.create_task(self._open(robot, step))
 
     def _free_gate(self, robot: str, track: Track) -> Step | None:
-        """Return the gate at which a vehicle stands and which it may pass."""
+        """Return the gate at which a vehicle stands and which it may pass; without its mission it cannot."""
         step = track.step
-        if step is None or step.action is not Action.WAIT or not track.reports(step):
+        if (
+            step is None
+            or step.action is not Action.WAIT
+            or not track.reports(step)
+            or track.lost_s is not None
+        ):
             return None
         now_s = self._clock.now_s()
         return step if may_pass(robot, step, self._ledger, self._tracks, now_s, self._clearance_s) else None
