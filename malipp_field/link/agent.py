@@ -222,7 +222,7 @@ class Agent:
         suspicion = self._watch.suspicion(message, self.progress.mission, now_s)
         if suspicion is not None:
             self._distrust(suspicion)
-        if kind == mavlink.MAVLINK_MSG_ID_MISSION_CURRENT:
+        if kind == mavlink.MAVLINK_MSG_ID_MISSION_CURRENT and not self._watch.doubts:
             for step in self.progress.report(message.seq, self.vehicle.mission_complete):
                 self._passed(step)
         elif kind == mavlink.MAVLINK_MSG_ID_STATUSTEXT:

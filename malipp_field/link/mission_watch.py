@@ -36,6 +36,11 @@ class MissionWatch:
         self._tells_total = False
         self._odd = 0
 
+    @property
+    def doubts(self) -> bool:
+        """Whether the last report was of a mission of another length: its item is none of ours."""
+        return self._odd > 0
+
     def suspicion(self, message: MavMessage, mission: VehicleMission | None, now_s: float) -> str | None:
         """Take in a message of the vehicle; return why ``mission`` may not be on board any more, in words.
 

@@ -84,7 +84,9 @@ class Progress:
             self.failed.clear()
             self._known.clear()
             self.unfollow()
-        self.mission = mission
+        # One of its own, even if it is the last one again: until it is followed the item that the vehicle
+        # reports may be left from what was on board in between.
+        self.mission = mission.model_copy()
         self._known.appendleft(mission)
 
     def learn(self, done: Iterable[str]) -> None:
