@@ -12,6 +12,7 @@ from malipp_field.vehicle.check import check
 from malipp_field.vehicle.check_fence import OF_FENCE
 from malipp_field.vehicle.fence import MAX_CORNERS, MAX_RALLY_POINTS, fence_items, rally_items
 from malipp_field.vehicle.finding import Finding
+from malipp_field.vehicle.items import MissionItem
 
 TEXT = """
 format: malipp-mission/1
@@ -40,7 +41,7 @@ def fenced(text: str = TEXT) -> Mission:
     return parse_mission(text)
 
 
-def places(mission: Mission, items: list) -> set[tuple[float, float]]:  # type: ignore[type-arg]
+def places(mission: Mission, items: list[MissionItem]) -> set[tuple[float, float]]:
     origin = mission.site.origin
     assert origin is not None
     local = [to_local(item.x / 1e7, item.y / 1e7, origin) for item in items]
